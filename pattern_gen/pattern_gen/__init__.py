@@ -1,0 +1,1 @@
+"""Rotation-invariant perfect maps with a minimum Hamming distance: generation, verification, rendering, projection."""

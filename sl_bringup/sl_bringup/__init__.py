@@ -1,0 +1,1 @@
+"""Launch files, default configurations, demo, bag replay and benchmarks of the structured-light stack."""

@@ -1,0 +1,1 @@
+"""ROS nodes: parameters, messages, and calls into the core."""

@@ -1,0 +1,1 @@
+"""Decodes single-shot structured light: camera images to camera-projector correspondences."""

@@ -1,0 +1,24 @@
+from setuptools import find_packages, setup
+
+package_name = "sl_sim"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="The structured-light positioning maintainers",
+    maintainer_email="maintainers@example.org",
+    description="A simulated cell: six-axis arm, ray-cast eye-in-hand camera, projector light, arm driver that counts limit violations.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "cell = sl_sim.node:main",
+        ],
+    },
+)
