@@ -10,6 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
+    package_data={package_name: ["catalogue/*.yaml"]},
     install_requires=["setuptools"],
     zip_safe=False,
     maintainer="The structured-light positioning maintainers",
