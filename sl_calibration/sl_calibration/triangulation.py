@@ -11,9 +11,10 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sl_common import transforms
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
+
+from sl_common import transforms
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ class TriangulationOptions:
         min_depth: Least distance along the camera's optical axis [m].
         max_depth: Largest distance along the camera's optical axis [m].
         camera_sigma: Noise of a dot's centre in the camera image [px], relative to ``projector_sigma``.
-        projector_sigma: Noise of a dot's centre in the projected image [px]; the projected position is known, 0 is exact.
+        projector_sigma: Noise of a dot's centre in the projected image [px]; it is known, 0 is exact.
     """
 
     max_epipolar_distance: float = 2.0
@@ -56,7 +57,9 @@ class TriangulationOptions:
         if not self.max_epipolar_distance > 0:
             raise InvalidInputError(f"max_epipolar_distance must be positive, got {self.max_epipolar_distance:g} px")
         if not 0 <= self.min_depth < self.max_depth:
-            raise InvalidInputError(f"depths {self.min_depth:g}..{self.max_depth:g} m: the least must be below the largest")
+            raise InvalidInputError(
+                f"depths {self.min_depth:g}..{self.max_depth:g} m: the least must be below the largest"
+            )
         if self.camera_sigma < 0 or self.projector_sigma < 0 or self.camera_sigma + self.projector_sigma == 0:
             raise InvalidInputError(
                 f"camera_sigma {self.camera_sigma:g} and projector_sigma {self.projector_sigma:g} px:"
@@ -89,7 +92,9 @@ class Triangulation:
         return {reason.name.lower(): int(numbers[reason]) for reason in Rejection}
 
 
-def camera_from_projector(base_from_flange: ArrayLike, flange_from_camera: ArrayLike, base_from_projector: ArrayLike) -> Array:
+def camera_from_projector(
+    base_from_flange: ArrayLike, flange_from_camera: ArrayLike, base_from_projector: ArrayLike
+) -> Array:
     """Chain the three calibrated transforms (4, 4) [m] of paper fig. 5 into the extrinsics of one view."""
     base_from_camera = np.asarray(base_from_flange, dtype=np.float64) @ np.asarray(flange_from_camera, dtype=np.float64)
     return transforms.inverse(base_from_camera) @ np.asarray(base_from_projector, dtype=np.float64)
@@ -109,7 +114,7 @@ def triangulate(
     projector_pixels: ArrayLike,
     options: TriangulationOptions | None = None,
 ) -> Triangulation:
-    """Triangulate dots (paper section III.B, "solving a homogeneous system of equations for every point, using an SVD").
+    """Triangulate dots (paper section III.B, "a homogeneous system of equations for every point, using an SVD").
 
     Args:
         camera: Camera model.
@@ -129,23 +134,28 @@ def triangulate(
     if camera_pixels.shape != projector_pixels.shape:
         raise InvalidInputError(f"{len(camera_pixels)} camera pixels but {len(projector_pixels)} projector pixels")
     if not transforms.is_rigid(extrinsics, 1e-4):
-        raise InvalidInputError("camera_from_projector is not a rigid transform: check the calibration and the joint state")
+        raise InvalidInputError(
+            "camera_from_projector is not a rigid transform: check the calibration and the joint state"
+        )
     baseline = float(np.linalg.norm(extrinsics[:3, 3]))
     if baseline < 1e-6:
-        raise InvalidInputError(f"camera and projector are {baseline:g} m apart: no depth can be had, check the calibration")
+        raise InvalidInputError(
+            f"camera and projector are {baseline:g} m apart: no depth can be had, check the calibration"
+        )
 
     points = np.full((len(camera_pixels), 3), np.nan)
     rejection = np.full(len(points), Rejection.NOT_FINITE, dtype=np.uint8)
     distance = np.full(len(points), np.nan)
-    x_camera, x_projector = camera.undistort(camera_pixels), projector.undistort(projector_pixels)
-    finite = np.flatnonzero(np.isfinite(x_camera).all(-1) & np.isfinite(x_projector).all(-1))
+    finite = np.flatnonzero(np.isfinite(camera_pixels).all(-1) & np.isfinite(projector_pixels).all(-1))
+    x_camera, x_projector = camera.undistort(camera_pixels[finite]), projector.undistort(projector_pixels[finite])
+    invertible = np.isfinite(x_camera).all(-1) & np.isfinite(x_projector).all(-1)
+    finite, x_camera, x_projector = finite[invertible], x_camera[invertible], x_projector[invertible]
     if len(finite) == 0:
         return Triangulation(points, rejection, distance)
 
-    x_camera, x_projector = x_camera[finite], x_projector[finite]
     essential = essential_matrix(extrinsics)
     distance[finite] = _epipolar_distance(essential, x_camera, x_projector, camera)
-    # A dot far off its line is refused anyway; its correction could be as far off, so only the near ones are worked out.
+    # A dot far off its line is refused anyway, so only the near ones are worked out.
     near = distance[finite] <= options.max_epipolar_distance
     rejection[finite] = np.where(near, Rejection.NONE, Rejection.EPIPOLAR)
     used, x_camera, x_projector = finite[near], x_camera[near], x_projector[near]

@@ -1,0 +1,1 @@
+"""Self-calibration: projector, hand-eye transform and all dots from known robot motion, without a calibration grid."""
