@@ -14,6 +14,6 @@ setup(
     zip_safe=False,
     maintainer="The structured-light positioning maintainers",
     maintainer_email="maintainers@example.org",
-    description="What two or more packages of the structured-light stack share: transforms, camera models, kinematics, ROS conversions.",
+    description="What two or more packages share: rigid transforms, camera models, kinematics, ROS conversions.",
     license="Apache-2.0",
 )

@@ -1,1 +1,1 @@
-"""What two or more packages of the structured-light stack share: transforms, camera models, kinematics, ROS conversions."""
+"""What two or more packages share: rigid transforms, camera models, kinematics, ROS conversions."""

@@ -7,7 +7,7 @@ Camera and projector use the camera_info format that camera_calibration writes; 
 
 import os
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,7 @@ class Calibration:
 def provenance(*, samples: int, residuals: dict[str, float]) -> dict[str, Any]:
     """Return the entries that every calibration file carries: date (UTC), units, number of samples, residuals."""
     return {
-        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "units": "m, rad, px",
         "samples": samples,
         "residuals": residuals,
@@ -160,5 +160,5 @@ def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
 def _read_matrix(entry: dict[str, Any], shape: tuple[int, int]) -> NDArray[np.float64]:
     data = np.array(entry["data"], dtype=np.float64)
     if data.size != shape[0] * shape[1]:
-        raise CalibrationFileError(f"matrix with {data.size} numbers, expected {shape[0]}x{shape[1]}")
+        raise InvalidInputError(f"matrix with {data.size} numbers, expected {shape[0]}x{shape[1]}")
     return data.reshape(shape)

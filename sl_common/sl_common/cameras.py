@@ -68,7 +68,7 @@ class CameraModel:
         object.__setattr__(self, "coefficients", coefficients)
 
     def project(self, points: ArrayLike) -> Array:
-        """Project points (..., 3) [m] of the optical frame to pixels (..., 2); NaN for points not in front (z <= 0)."""
+        """Project points (..., 3) [m] of the optical frame to pixels (..., 2); NaN where z <= 0."""
         points = np.asarray(points, dtype=np.float64)
         z = points[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -76,12 +76,12 @@ class CameraModel:
         return self.to_pixels(self.distort(normalised))
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Return the viewing rays (..., 3) with z = 1 of raw pixels (..., 2); NaN where the model cannot be inverted."""
+        """Return the rays (..., 3), z = 1, of raw pixels (..., 2); NaN where the model cannot be inverted."""
         normalised = self.undistort(pixels)
         return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
 
     def undistort(self, pixels: ArrayLike) -> Array:
-        """Return ideal normalised coordinates (..., 2) of raw pixels (..., 2); NaN where the model cannot be inverted."""
+        """Return ideal normalised coordinates (..., 2) of raw pixels (..., 2); NaN where none."""
         distorted = self.to_normalised(pixels)
         if self.distortion_model == "pers":
             return _scale_radius(distorted, self.coefficients[0], np.sinh)
@@ -90,7 +90,7 @@ class CameraModel:
         return distorted
 
     def distort(self, normalised: ArrayLike) -> Array:
-        """Return distorted normalised coordinates (..., 2) of ideal ones (..., 2); exact inverse of the undistortion."""
+        """Return distorted normalised coordinates (..., 2) of ideal ones (..., 2); exact inverse of undistortion."""
         ideal = np.asarray(normalised, dtype=np.float64)
         if self.distortion_model == "pers":
             return _scale_radius(ideal, self.coefficients[0], np.arcsinh)

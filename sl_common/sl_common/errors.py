@@ -4,8 +4,8 @@
 class StructuredLightError(Exception):
     """Base of every error that the stack raises on purpose.
 
-    The message is one line that says what was wrong, with the number, and what to do next: a command prints it and exits
-    with 1, a node logs it and carries on.
+    The message is one line that says what was wrong, with the number, and what to do next: a command prints it and
+    exits with 1, a node logs it and carries on.
     """
 
 

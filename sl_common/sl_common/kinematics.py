@@ -58,13 +58,19 @@ class Kinematics:
         joints, joint = [], model.frames[self._tip].parentJoint
         while joint not in (base_joint, 0):
             if model.joints[joint].nv != 1:
-                raise ModelError(f"joint '{model.names[joint]}' has {model.joints[joint].nv} degrees of freedom, expected 1")
+                raise ModelError(
+                    f"joint '{model.names[joint]}' has {model.joints[joint].nv} degrees of freedom, expected 1"
+                )
             joints.append(joint)
             joint = model.parents[joint]
         if joint != base_joint:
-            raise ModelError(f"frame '{self.tip_frame}' is not a descendant of '{self.base_frame}' in robot_description")
+            raise ModelError(
+                f"frame '{self.tip_frame}' is not a descendant of '{self.base_frame}' in robot_description"
+            )
         if not joints:
-            raise ModelError(f"no movable joint between '{self.base_frame}' and '{self.tip_frame}' in robot_description")
+            raise ModelError(
+                f"no movable joint between '{self.base_frame}' and '{self.tip_frame}' in robot_description"
+            )
         return joints[::-1]
 
     @property
@@ -82,7 +88,9 @@ class Kinematics:
         index = {name: i for i, name in enumerate(names)}
         missing = [name for name in self.joint_names if name not in index]
         if missing:
-            raise InvalidInputError(f"joint state lacks {', '.join(missing)}; it has: {', '.join(names) or 'no joints'}")
+            raise InvalidInputError(
+                f"joint state lacks {', '.join(missing)}; it has: {', '.join(names) or 'no joints'}"
+            )
         q = np.array([positions[index[name]] for name in self.joint_names], dtype=np.float64)
         if not np.all(np.isfinite(q)):
             bad = [n for n, x in zip(self.joint_names, q, strict=True) if not np.isfinite(x)]
@@ -96,7 +104,7 @@ class Kinematics:
         return np.array(base_from_tip.homogeneous)
 
     def jacobian(self, q: ArrayLike) -> Array:
-        """Return the geometric Jacobian (6, n) of the tip at q (n,): linear then angular velocity along the base's axes."""
+        """Return the geometric Jacobian (6, n) of the tip at q (n,): linear, then angular, along the base's axes."""
         full = self._full(q)
         jacobian = pinocchio.computeFrameJacobian(
             self._model, self._data, full, self._tip, pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED

@@ -130,7 +130,7 @@ def from_quaternion(translation: ArrayLike, quaternion: ArrayLike) -> Array:
 
 
 def to_quaternion(transform: ArrayLike) -> tuple[Array, Array]:
-    """Split transforms (..., 4, 4) into translations (..., 3) [m] and unit quaternions (..., 4), x y z w with w >= 0."""
+    """Split transforms (..., 4, 4) into translations (..., 3) [m] and quaternions (..., 4), x y z w, w >= 0."""
     transform = np.asarray(transform, dtype=np.float64)
     rotation = transform[..., :3, :3]
     q = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat().reshape(*rotation.shape[:-2], 4)
@@ -138,19 +138,19 @@ def to_quaternion(transform: ArrayLike) -> tuple[Array, Array]:
 
 
 def interpolate(a: ArrayLike, b: ArrayLike, s: ArrayLike) -> Array:
-    """Interpolate between poses: position linearly, rotation at constant angular velocity; s = 0 gives a, s = 1 gives b."""
+    """Interpolate poses: position linearly, rotation at constant angular velocity; s = 0 gives a, 1 gives b."""
     s = np.asarray(s, dtype=np.float64)
     return perturb(a, s[..., None] * difference(a, b))
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
-    """Return base_from_camera (4, 4) of a camera at ``position`` whose optical axis (z) meets ``target``, image up along ``up``.
+    """Return base_from_camera (4, 4) of a camera at ``position`` looking at ``target``, image up along ``up``.
 
     Raises InvalidInputError where the target is at the position or straight along ``up``.
     """
     position = np.asarray(position, dtype=np.float64)
     z = np.asarray(target, dtype=np.float64) - position
-    x = np.cross(z, up)
+    x = np.cross(z, np.asarray(up, dtype=np.float64))
     if np.linalg.norm(z) < 1e-9 or np.linalg.norm(x) < 1e-9 * np.linalg.norm(z):
         raise InvalidInputError("look_at: the target must differ from the position and not lie along the up direction")
     z /= np.linalg.norm(z)

@@ -2,6 +2,7 @@
 
 import array
 import sys
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +11,7 @@ from std_msgs.msg import Header
 
 from sl_common.errors import InvalidInputError
 
-_DATATYPES = {
+_DATATYPES: dict[np.dtype, int] = {
     np.dtype(np.int8): PointField.INT8,
     np.dtype(np.uint8): PointField.UINT8,
     np.dtype(np.int16): PointField.INT16,
@@ -20,7 +21,7 @@ _DATATYPES = {
     np.dtype(np.float32): PointField.FLOAT32,
     np.dtype(np.float64): PointField.FLOAT64,
 }
-_DTYPES = {code: dtype for dtype, code in _DATATYPES.items()}
+_DTYPES: dict[int, np.dtype] = {code: dtype for dtype, code in _DATATYPES.items()}
 
 
 def pack_rgb(rgb: ArrayLike) -> NDArray[np.float32]:
@@ -77,21 +78,23 @@ def from_message(message: PointCloud2) -> dict[str, NDArray]:
     names = {f.name for f in message.fields}
     if not {"x", "y", "z"} <= names:
         raise InvalidInputError(f"point cloud lacks x, y or z; it has: {', '.join(sorted(names)) or 'no fields'}")
-    order = ">" if message.is_bigendian else "<"
-    formats, offsets = [], []
+    order: Literal[">", "<"] = ">" if message.is_bigendian else "<"
+    formats: list[np.dtype] = []
+    offsets: list[int] = []
     for f in message.fields:
         if f.datatype not in _DTYPES:
             raise InvalidInputError(f"field '{f.name}' has unknown datatype {f.datatype}")
-        formats.append(_DTYPES[f.datatype].newbyteorder(order))
+        dtype = _DTYPES[f.datatype].newbyteorder(order)
+        formats.append(dtype)
         offsets.append(f.offset)
-        if f.offset + formats[-1].itemsize > message.point_step:
+        if f.offset + dtype.itemsize > message.point_step:
             raise InvalidInputError(f"field '{f.name}' does not fit the point step of {message.point_step} bytes")
     needed = message.row_step * (message.height - 1) + message.point_step * message.width if message.height else 0
     if message.row_step < message.point_step * message.width or len(message.data) < needed:
         raise InvalidInputError(
             f"point cloud of {message.width}x{message.height} points takes {needed} bytes, got {len(message.data)}"
         )
-    dtype = np.dtype(
+    layout = np.dtype(
         {
             "names": [f.name for f in message.fields],
             "formats": formats,
@@ -101,8 +104,8 @@ def from_message(message: PointCloud2) -> dict[str, NDArray]:
     )
     raw = np.frombuffer(message.data, dtype=np.uint8)
     rows = [
-        raw[r * message.row_step : r * message.row_step + message.point_step * message.width].view(dtype)
+        raw[r * message.row_step : r * message.row_step + message.point_step * message.width].view(layout)
         for r in range(message.height)
     ]
-    points = np.concatenate(rows) if rows else np.empty(0, dtype=dtype)
+    points = np.concatenate(rows) if rows else np.empty(0, dtype=layout)
     return {name: points[name].astype(points[name].dtype.newbyteorder("=")) for name in points.dtype.names or ()}

@@ -77,7 +77,8 @@ def _check(
 ) -> None:
     if type(value) is not type(default):
         raise InvalidInputError(
-            f"parameter {name} is {value!r} ({type(value).__name__}), expected {type(default).__name__} such as {default!r}"
+            f"parameter {name} is {value!r} ({type(value).__name__}), "
+            f"expected {type(default).__name__} such as {default!r}"
         )
     if choices and value not in choices:
         raise InvalidInputError(f"parameter {name} is '{value}', expected one of {', '.join(choices)}")

@@ -23,8 +23,8 @@ def run_node(
 ) -> int:
     """Create a node, spin it until SIGINT or SIGTERM, and return the process's exit code.
 
-    The context stays valid until the node is gone, so that ``destroy_node`` can still publish (the positioner brings the
-    arm to rest there). A StructuredLightError from the factory is logged as one line and gives exit code 1.
+    The context stays valid until the node is gone, so that ``destroy_node`` can still publish (the positioner brings
+    the arm to rest there). A StructuredLightError from the factory is logged as one line and gives exit code 1.
 
     Args:
         factory: Builds the node; called after rclpy.init.
@@ -39,7 +39,7 @@ def run_node(
     signal.signal(signal.SIGTERM, stop)
     node: Node | None = None
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
         spinner = executor() if executor else SingleThreadedExecutor()
         node = factory()
         spinner.add_node(node)

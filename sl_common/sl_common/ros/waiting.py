@@ -41,7 +41,11 @@ class InputWatch:
         for topic, wanted in self._missing.items():
             resolved = self._node.resolve_topic_name(topic)
             publishers = self._node.count_publishers(resolved)
-            hint = "no publisher" if publishers == 0 else f"{publishers} publisher(s), but nothing usable received: check QoS and type"
+            hint = (
+                "no publisher"
+                if publishers == 0
+                else f"{publishers} publisher(s), but nothing usable received: check QoS and type"
+            )
             self._node.get_logger().info(f"waiting for {resolved} ({wanted.type_name}; {wanted.qos}): {hint}")
         if not self._missing:
             self._node.destroy_timer(self._timer)
