@@ -1,6 +1,9 @@
+from glob import glob
+
 from setuptools import find_packages, setup
 
 package_name = "sl_bringup"
+share = f"share/{package_name}"
 
 setup(
     name=package_name,
@@ -8,7 +11,12 @@ setup(
     packages=find_packages(exclude=["test"]),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
-        (f"share/{package_name}", ["package.xml"]),
+        (share, ["package.xml"]),
+        (f"{share}/config", glob("config/*")),
+        (f"{share}/hook", glob("hook/*")),
+        (f"{share}/launch", glob("launch/*.launch.py")),
+        (f"{share}/rviz", glob("rviz/*.rviz")),
+        (f"{share}/foxglove", glob("foxglove/*.json")),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
@@ -18,9 +26,10 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "demo = sl_bringup.demo:main",
-            "replay = sl_bringup.replay:main",
-            "benchmark = sl_bringup.benchmark:main",
+            "demo = sl_bringup.commands.demo:main",
+            "replay = sl_bringup.commands.replay:main",
+            "record_bag = sl_bringup.commands.record_bag:main",
+            "benchmark = sl_bringup.commands.benchmark:main",
         ],
     },
 )
