@@ -1,0 +1,100 @@
+"""Render single-shot images of random scenes with exact truth."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from pattern_gen import Pattern, default_pattern
+from sl_common.errors import StructuredLightError
+from sl_common.files import atomic_path
+from sl_sim import scenes
+from sl_sim.dataset import CAMERAS, Shot, render_shot
+from sl_sim.effects import EFFECTS
+
+
+def write_shot(folder: Path, shot: Shot) -> None:
+    """Write images/NAME.png, truth/NAME.npz and truth/NAME.json."""
+    for part in ("images", "truth"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    ok, png = cv2.imencode(".png", shot.image)
+    if not ok:
+        raise StructuredLightError(f"cannot encode image {shot.name} of shape {shot.image.shape}")
+    with atomic_path(folder / "truth" / f"{shot.name}.npz") as path:
+        with path.open("wb") as file:
+            np.savez_compressed(file, **shot.arrays)
+    with atomic_path(folder / "truth" / f"{shot.name}.json") as path:
+        path.write_text(json.dumps(shot.meta, indent=1))
+    with atomic_path(folder / "images" / f"{shot.name}.png") as path:
+        path.write_bytes(png.tobytes())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="render_dataset",
+        description=__doc__,
+        epilog="example: ros2 run sl_sim render_dataset --output held_out --count 40 --seed 7 --scenes bust,boxes --effects lab,dim",
+    )
+    listing = lambda names: ", ".join(names)  # noqa: E731
+    parser.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder to write images/, truth/ and pattern.yaml to")
+    parser.add_argument("--count", type=int, default=20, help="number of images (default 20)")
+    parser.add_argument("--seed", type=int, default=0, help="image k uses seed SEED * 10000 + k (default 0)")
+    parser.add_argument("--pattern", type=Path, metavar="FILE.yaml", help="pattern to project (default: the shipped 44x58)")
+    parser.add_argument("--scenes", default="all", help=f"comma-separated, taken in turn: {listing(scenes.NAMES)} (default all)")
+    parser.add_argument("--effects", default="all", help=f"comma-separated, drawn at random: {listing(EFFECTS)} (default all)")
+    parser.add_argument("--cameras", default="vga,vga_barrel,hd", help=f"comma-separated, drawn at random: {listing(CAMERAS)}")
+    parser.add_argument("--oblique", type=float, default=60.0, help="largest angle of view from the object's front [deg] (default 60)")
+    parser.add_argument("--near", type=float, default=0.4, help="least distance of the camera [m] (default 0.4)")
+    parser.add_argument("--far", type=float, default=0.95, help="largest distance of the camera [m] (default 0.95)")
+    return parser
+
+
+def _choice(text: str, known: tuple[str, ...], what: str) -> list[str]:
+    names = list(known) if text == "all" else [name.strip() for name in text.split(",")]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise StructuredLightError(f"unknown {what} {', '.join(unknown)}: use {', '.join(known)}")
+    return names
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point of `ros2 run sl_sim render_dataset`; returns the exit code."""
+    parser = _parser()
+    args = parser.parse_args(arguments)
+    if args.count < 1 or not 0 < args.near <= args.far or not 0 <= args.oblique < 85:
+        parser.error("--count must be at least 1, 0 < --near <= --far, 0 <= --oblique < 85")
+    try:
+        names = _choice(args.scenes, scenes.NAMES, "scenes")
+        effects = _choice(args.effects, tuple(EFFECTS), "effects")
+        cameras = _choice(args.cameras, CAMERAS, "cameras")
+        pattern = Pattern.load(args.pattern) if args.pattern else default_pattern()
+        if any((args.output / "images").glob("*.png")):
+            raise StructuredLightError(f"{args.output} already holds images: choose a new folder")
+        args.output.mkdir(parents=True, exist_ok=True)
+        pattern.save(args.output / "pattern.yaml")
+        for k in tqdm(range(args.count), unit="image", disable=not sys.stderr.isatty()):
+            seed = args.seed * 10000 + k
+            rng = np.random.default_rng([seed, 1])
+            shot = render_shot(
+                pattern,
+                scene=names[k % len(names)],
+                camera=str(rng.choice(cameras)),
+                effects=str(rng.choice(effects)),
+                seed=seed,
+                distance=(args.near, args.far),
+                oblique=args.oblique,
+            )
+            write_shot(args.output, shot)
+    except (StructuredLightError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(f"{args.count} images in {args.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,255 @@
+"""The renderer's inner loops, compiled by numba (cached on disk; `compile_all` builds them before the first image)."""
+
+import numpy as np
+from numba import njit
+
+LIT, HIT = 2, 1
+
+
+@njit(cache=True, fastmath=True)
+def shade_points(
+    origin, directions, distance, face, bary_u, bary_v, faces, vertex_normals, vertex_albedo, face_body, gloss,
+    light_from_base, light_k, light_size, light_distorted, vignetting, ambient, up, points, normals, uv, gain, sky, albedo,
+    body, flags,
+):  # fmt: skip
+    """Surface, projector coordinates and light transport of first hits; shadows are not known here.
+
+    In: origin (3,), directions (n, 3), hits (n,), the scene's arrays, light_from_base (4, 4), light_k (fx fy cx cy),
+    light_size (width height), light_distorted: uv is given in ideal normalised coordinates instead of pixels,
+    vignetting: the projector's loss at the panel's corner, ambient: strength, up (3,).
+    Out: points (n, 3), normals (n, 3), uv (n, 2), gain (n, 3): radiance per unit of projector light (pi folded in),
+    sky (n, 3): radiance by ambient light, albedo (n, 3), body (n,) int32, flags (n,): HIT, and LIT where the projector may reach the point.
+    """
+    fx, fy, cx, cy = light_k[0], light_k[1], light_k[2], light_k[3]
+    lx = -(light_from_base[0, 0] * light_from_base[0, 3] + light_from_base[1, 0] * light_from_base[1, 3]
+           + light_from_base[2, 0] * light_from_base[2, 3])  # fmt: skip
+    ly = -(light_from_base[0, 1] * light_from_base[0, 3] + light_from_base[1, 1] * light_from_base[1, 3]
+           + light_from_base[2, 1] * light_from_base[2, 3])  # fmt: skip
+    lz = -(light_from_base[0, 2] * light_from_base[0, 3] + light_from_base[1, 2] * light_from_base[1, 3]
+           + light_from_base[2, 2] * light_from_base[2, 3])  # fmt: skip
+    reach2 = (max(cx, light_size[0] - cx) / fx) ** 2 + (max(cy, light_size[1] - cy) / fy) ** 2
+    for i in range(directions.shape[0]):
+        flags[i] = 0
+        body[i] = -1
+        for k in range(3):
+            gain[i, k] = 0.0
+            sky[i, k] = 0.0
+            albedo[i, k] = 0.0
+        f = face[i]
+        if f < 0:
+            uv[i, 0] = -1e6
+            uv[i, 1] = -1e6
+            continue
+        t = float(distance[i])
+        dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
+        x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        wu, wv = bary_u[i], bary_v[i]
+        w = 1.0 - wu - wv
+        nx = w * vertex_normals[a, 0] + wu * vertex_normals[b, 0] + wv * vertex_normals[c, 0]
+        ny = w * vertex_normals[a, 1] + wu * vertex_normals[b, 1] + wv * vertex_normals[c, 1]
+        nz = w * vertex_normals[a, 2] + wu * vertex_normals[b, 2] + wv * vertex_normals[c, 2]
+        s = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
+        nx, ny, nz = nx * s, ny * s, nz * s
+        points[i, 0], points[i, 1], points[i, 2] = x, y, z
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
+        body[i] = face_body[f]
+        flags[i] = HIT
+        ambient_here = ambient * (0.6 + 0.4 * (nx * up[0] + ny * up[1] + nz * up[2]))
+        r0 = w * vertex_albedo[a, 0] + wu * vertex_albedo[b, 0] + wv * vertex_albedo[c, 0]
+        r1 = w * vertex_albedo[a, 1] + wu * vertex_albedo[b, 1] + wv * vertex_albedo[c, 1]
+        r2 = w * vertex_albedo[a, 2] + wu * vertex_albedo[b, 2] + wv * vertex_albedo[c, 2]
+        albedo[i, 0], albedo[i, 1], albedo[i, 2] = r0, r1, r2
+        sky[i, 0], sky[i, 1], sky[i, 2] = r0 * ambient_here, r1 * ambient_here, r2 * ambient_here
+        px = light_from_base[0, 0] * x + light_from_base[0, 1] * y + light_from_base[0, 2] * z + light_from_base[0, 3]
+        py = light_from_base[1, 0] * x + light_from_base[1, 1] * y + light_from_base[1, 2] * z + light_from_base[1, 3]
+        pz = light_from_base[2, 0] * x + light_from_base[2, 1] * y + light_from_base[2, 2] * z + light_from_base[2, 3]
+        if pz <= 1e-3:
+            uv[i, 0] = -1e6
+            uv[i, 1] = -1e6
+            continue
+        tx, ty = px / pz, py / pz
+        if light_distorted:
+            uv[i, 0], uv[i, 1] = tx, ty
+        else:
+            uv[i, 0], uv[i, 1] = fx * tx + cx, fy * ty + cy
+        u, v = fx * tx + cx, fy * ty + cy
+        inside = u > -8.0 and v > -8.0 and u < light_size[0] + 7.0 and v < light_size[1] + 7.0
+        qx, qy, qz = lx - x, ly - y, lz - z
+        d2 = qx * qx + qy * qy + qz * qz
+        inv = 1.0 / np.sqrt(d2)
+        cosine = (nx * qx + ny * qy + nz * qz) * inv
+        if cosine <= 0.0 or not (inside or light_distorted):
+            continue
+        flags[i] = HIT | LIT
+        # equal flux through every projector pixel: irradiance = cosine / (cos(theta) z^2), cos(theta) = z / d
+        irradiance = cosine / (pz * inv * pz * pz)
+        irradiance *= 1.0 - vignetting * (tx * tx + ty * ty) / reach2
+        shiny = 0.0
+        ks = gloss[body[i], 0]
+        if ks > 0.0:
+            length = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+            hx, hy, hz = qx * inv - dx * length, qy * inv - dy * length, qz * inv - dz * length
+            h = 1.0 / np.sqrt(hx * hx + hy * hy + hz * hz + 1e-30)
+            half = (nx * hx + ny * hy + nz * hz) * h
+            if half > 0.0:
+                e = gloss[body[i], 1]
+                shiny = ks * (e + 8.0) / 8.0 * half**e
+        gain[i, 0] = ((1.0 - ks) * r0 + shiny) * irradiance
+        gain[i, 1] = ((1.0 - ks) * r1 + shiny) * irradiance
+        gain[i, 2] = ((1.0 - ks) * r2 + shiny) * irradiance
+
+
+@njit(cache=True)
+def uneven_cells(points, normals, body, flags, pixel_angle, uneven):
+    """Mark cells of a node lattice (h, w, ...) over which nothing may be interpolated; uneven (h-1, w-1) uint8.
+
+    A cell is even when its four nodes lie on one body, are all lit or all dark, have normals within about 8 degrees and
+    lie in each other's tangent planes; pixel_angle [rad] is the lattice step.
+    """
+    h, w = body.shape
+    for i in range(h - 1):
+        for j in range(w - 1):
+            bad = False
+            b0, f0 = body[i, j], flags[i, j]
+            for k in range(1, 4):
+                ii, jj = i + (k >> 1), j + (k & 1)
+                if body[ii, jj] != b0 or flags[ii, jj] != f0:
+                    bad = True
+            if not bad and b0 >= 0:
+                for k in range(4):
+                    i1, j1 = i + (k >> 1), j + (k & 1)
+                    i2, j2 = (i, j + 1) if k == 0 else ((i + 1, j + 1) if k == 1 else ((i, j) if k == 2 else (i + 1, j)))
+                    c = 0.0
+                    d2, s1, s2 = 0.0, 0.0, 0.0
+                    for a in range(3):
+                        n1, n2 = normals[i1, j1, a], normals[i2, j2, a]
+                        d = points[i2, j2, a] - points[i1, j1, a]
+                        c += n1 * n2
+                        d2 += d * d
+                        s1 += d * n1
+                        s2 += d * n2
+                    if c < 0.99 or s1 * s1 > 0.02 * d2 or s2 * s2 > 0.02 * d2:
+                        bad = True
+            uneven[i, j] = 1 if bad else 0
+
+
+@njit(cache=True, fastmath=True)
+def _look_up(light, scale, u, v, out):
+    """Bilinear light (h, w, 3) at projector pixel (u, v) of the unscaled panel; nothing outside."""
+    h, w = light.shape[0], light.shape[1]
+    x = (u + 0.5) * scale - 0.5
+    y = (v + 0.5) * scale - 0.5
+    out[0] = out[1] = out[2] = 0.0
+    if not (x > -1.0 and y > -1.0 and x < w and y < h):
+        return
+    x0, y0 = int(np.floor(x)), int(np.floor(y))
+    fx, fy = x - x0, y - y0
+    for b in range(2):
+        yy = y0 + b
+        if yy < 0 or yy >= h:
+            continue
+        wy = fy if b else 1.0 - fy
+        for a in range(2):
+            xx = x0 + a
+            if xx < 0 or xx >= w:
+                continue
+            weight = wy * (fx if a else 1.0 - fx)
+            out[0] += weight * light[yy, xx, 0]
+            out[1] += weight * light[yy, xx, 1]
+            out[2] += weight * light[yy, xx, 2]
+
+
+@njit(cache=True, fastmath=True)
+def gather(light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_sky, cell, fraction, part, samples, image):
+    """Integrate the radiance over each pixel's samples x samples sub-pixels into image (H, W, 3) float32.
+
+    The node lattice starts half a pixel pitch outside: node (i, j) is pixel centre (i - 1, j - 1). Sub-pixel k of an axis
+    lies in lattice cell cell[k] at fraction[k] and is sample part[k] of that cell. Cells with slot_of_cell >= 0 have their
+    own traced samples fine_* (slots, samples * samples, .).
+    """
+    height, width = image.shape[0], image.shape[1]
+    texel = np.zeros(3)
+    share = 1.0 / (samples * samples)
+    for i in range(height):
+        for j in range(width):
+            red, green, blue = 0.0, 0.0, 0.0
+            for si in range(samples):
+                ky = i * samples + si
+                ci, fy = cell[ky], fraction[ky]
+                for sj in range(samples):
+                    kx = j * samples + sj
+                    cj = cell[kx]
+                    slot = slot_of_cell[ci, cj]
+                    if slot >= 0:
+                        p = part[ky] * samples + part[kx]
+                        red += fine_sky[slot, p, 0]
+                        green += fine_sky[slot, p, 1]
+                        blue += fine_sky[slot, p, 2]
+                        if fine_gain[slot, p, 0] + fine_gain[slot, p, 1] + fine_gain[slot, p, 2] > 0.0:
+                            _look_up(light, scale, fine_uv[slot, p, 0], fine_uv[slot, p, 1], texel)
+                            red += fine_gain[slot, p, 0] * texel[0]
+                            green += fine_gain[slot, p, 1] * texel[1]
+                            blue += fine_gain[slot, p, 2] * texel[2]
+                        continue
+                    fx = fraction[kx]
+                    w00, w01 = (1.0 - fy) * (1.0 - fx), (1.0 - fy) * fx
+                    w10, w11 = fy * (1.0 - fx), fy * fx
+                    red += (w00 * sky[ci, cj, 0] + w01 * sky[ci, cj + 1, 0] + w10 * sky[ci + 1, cj, 0]
+                            + w11 * sky[ci + 1, cj + 1, 0])  # fmt: skip
+                    green += (w00 * sky[ci, cj, 1] + w01 * sky[ci, cj + 1, 1] + w10 * sky[ci + 1, cj, 1]
+                              + w11 * sky[ci + 1, cj + 1, 1])  # fmt: skip
+                    blue += (w00 * sky[ci, cj, 2] + w01 * sky[ci, cj + 1, 2] + w10 * sky[ci + 1, cj, 2]
+                             + w11 * sky[ci + 1, cj + 1, 2])  # fmt: skip
+                    g0 = (w00 * gain[ci, cj, 0] + w01 * gain[ci, cj + 1, 0] + w10 * gain[ci + 1, cj, 0]
+                          + w11 * gain[ci + 1, cj + 1, 0])  # fmt: skip
+                    g1 = (w00 * gain[ci, cj, 1] + w01 * gain[ci, cj + 1, 1] + w10 * gain[ci + 1, cj, 1]
+                          + w11 * gain[ci + 1, cj + 1, 1])  # fmt: skip
+                    g2 = (w00 * gain[ci, cj, 2] + w01 * gain[ci, cj + 1, 2] + w10 * gain[ci + 1, cj, 2]
+                          + w11 * gain[ci + 1, cj + 1, 2])  # fmt: skip
+                    if g0 + g1 + g2 <= 0.0:
+                        continue
+                    u = (w00 * uv[ci, cj, 0] + w01 * uv[ci, cj + 1, 0] + w10 * uv[ci + 1, cj, 0]
+                         + w11 * uv[ci + 1, cj + 1, 0])  # fmt: skip
+                    v = (w00 * uv[ci, cj, 1] + w01 * uv[ci, cj + 1, 1] + w10 * uv[ci + 1, cj, 1]
+                         + w11 * uv[ci + 1, cj + 1, 1])  # fmt: skip
+                    _look_up(light, scale, u, v, texel)
+                    red += g0 * texel[0]
+                    green += g1 * texel[1]
+                    blue += g2 * texel[2]
+            image[i, j, 0] = red * share
+            image[i, j, 1] = green * share
+            image[i, j, 2] = blue * share
+
+
+@njit(cache=True)
+def capsules_between(light, points, flags, ends, radii, blocked):
+    """Mark points (n, 3) whose segment to light (3,) passes within radii (k,) of the segments ends (k, 2, 3)."""
+    for i in range(points.shape[0]):
+        blocked[i] = False
+        if flags[i] & LIT == 0:
+            continue
+        d0, d1, d2 = light[0] - points[i, 0], light[1] - points[i, 1], light[2] - points[i, 2]
+        dd = d0 * d0 + d1 * d1 + d2 * d2
+        for k in range(ends.shape[0]):
+            e0, e1, e2 = ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1], ends[k, 1, 2] - ends[k, 0, 2]
+            r0, r1, r2 = points[i, 0] - ends[k, 0, 0], points[i, 1] - ends[k, 0, 1], points[i, 2] - ends[k, 0, 2]
+            ee = e0 * e0 + e1 * e1 + e2 * e2
+            de = d0 * e0 + d1 * e1 + d2 * e2
+            dr = d0 * r0 + d1 * r1 + d2 * r2
+            er = e0 * r0 + e1 * r1 + e2 * r2
+            determinant = dd * ee - de * de
+            s = 0.0
+            if determinant > 1e-12:
+                s = min(max((de * er - ee * dr) / determinant, 0.0), 1.0)
+            t = (de * s + er) / max(ee, 1e-12)
+            if t < 0.0:
+                t = 0.0
+                s = min(max(-dr / dd, 0.0), 1.0)
+            elif t > 1.0:
+                t = 1.0
+                s = min(max((de - dr) / dd, 0.0), 1.0)
+            g0, g1, g2 = r0 + s * d0 - t * e0, r1 + s * d1 - t * e1, r2 + s * d2 - t * e2
+            if g0 * g0 + g1 * g1 + g2 * g2 < radii[k] * radii[k]:
+                blocked[i] = True
+                break
