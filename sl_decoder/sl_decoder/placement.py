@@ -1,0 +1,264 @@
+"""Where a lattice component lies in the map: every window votes, the letters of all its dots decide.
+
+All windows of a correctly linked component name the same placement: a rotation and a shift from lattice to map coordinates.
+So windows vote for placements (a Hough transform over the discrete poses), and a placement is verified letter by letter.
+Links that jump over a depth edge make one component out of parts with different placements; a two-label field (in this
+placement or not) over the lattice, solved by mean-field message passing, cuts them apart: own letter against neighbours'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from sl_decoder.codebook import find_code
+
+COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
+SWEEPS = 6
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Dots of all components laid out on their lattices: cell (M,) int32 dot index or -1 in one flat array;
+    at (N,) int32 the cell of each dot or -1; width (N,) int32 row length of the component's block."""
+
+    cell: np.ndarray
+    at: np.ndarray
+    width: np.ndarray
+
+
+@njit(cache=True, boundscheck=False)
+def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-untyped-def]
+    """Lay the components with at least `smallest` dots out; dots that share a cell are in conflict and left out."""
+    n = len(component)
+    size = np.zeros(count, np.int64)
+    u0 = np.full(count, 1 << 30)
+    u1 = np.full(count, -(1 << 30))
+    v0 = np.full(count, 1 << 30)
+    v1 = np.full(count, -(1 << 30))
+    for i in range(n):
+        c = component[i]
+        if c < 0:
+            continue
+        size[c] += 1
+        u0[c] = min(u0[c], u[i])
+        u1[c] = max(u1[c], u[i])
+        v0[c] = min(v0[c], v[i])
+        v1[c] = max(v1[c], v[i])
+    base = np.full(count, -1)
+    total = 0
+    for c in range(count):
+        if size[c] < smallest:
+            continue
+        room = (u1[c] - u0[c] + 3) * (v1[c] - v0[c] + 3)
+        if room > 500 * size[c] + 1000:
+            continue
+        base[c] = total
+        total += room
+    cell = np.full(total + 1, -1, np.int32)
+    at = np.full(n, -1, np.int32)
+    width = np.zeros(n, np.int32)
+    for i in range(n):
+        c = component[i]
+        if c < 0 or base[c] < 0:
+            continue
+        w = u1[c] - u0[c] + 3
+        a = base[c] + (v[i] - v0[c] + 1) * w + (u[i] - u0[c] + 1)
+        width[i] = w
+        if cell[a] >= 0:
+            conflicts[i] = True
+            conflicts[cell[a]] = True
+        else:
+            cell[a] = i
+            at[i] = a
+    for i in range(n):
+        if conflicts[i] and at[i] >= 0:
+            if cell[at[i]] == i:
+                cell[at[i]] = -1
+            at[i] = -1
+    return cell, at, width
+
+
+@njit(cache=True, boundscheck=False)
+def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values, turn):  # type: ignore[no-untyped-def]
+    """Look every whole window up.
+
+    Returns votes (V, 5) int32: dot at the centre, orientation k, shift u, shift v (map = turn[k] @ (u, v) + shift) and
+    code (N,) int64 of the dot's window, -1 where it is not whole.
+    """
+    n = len(at)
+    size = len(window)
+    votes = np.empty((2 * n + 16, 4), np.int32)
+    code_of = np.full(n, -1, np.int64)
+    m = 0
+    for i in range(n):
+        if at[i] < 0:
+            continue
+        code = np.int64(0)
+        place = np.int64(1)
+        whole = True
+        for p in range(size):
+            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+            if j < 0:
+                whole = False
+                break
+            code += letter[j] * place
+            place *= alphabet
+        if not whole:
+            continue
+        code_of[i] = code
+        f = find_code(codes, code)
+        while 0 <= f < len(codes) and codes[f] == code and m < len(votes):
+            k = values[f, 2]
+            votes[m, 0] = i
+            votes[m, 1] = k
+            votes[m, 2] = values[f, 0] - (turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i])
+            votes[m, 3] = values[f, 1] - (turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i])
+            m += 1
+            f += 1
+    return votes[:m], code_of
+
+
+@njit(cache=True, boundscheck=False)
+def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, codes, values, turn, todo):  # type: ignore[no-untyped-def]
+    """Votes of the windows of the dots `todo` (N,) bool with one letter replaced by each other one."""
+    n = len(at)
+    size = len(window)
+    votes = np.empty((4 * n + 64, 4), np.int32)
+    m = 0
+    for i in range(n):
+        if at[i] < 0 or not todo[i]:
+            continue
+        code = np.int64(0)
+        place = np.int64(1)
+        whole = True
+        for p in range(size):
+            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+            if j < 0:
+                whole = False
+                break
+            code += letter[j] * place
+            place *= alphabet
+        if not whole:
+            continue
+        place = np.int64(1)
+        for p in range(size):
+            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+            for a in range(alphabet):
+                if a == letter[j]:
+                    continue
+                other = code + (a - letter[j]) * place
+                f = find_code(codes, other)
+                while 0 <= f < len(codes) and codes[f] == other and m < len(votes):
+                    k = values[f, 2]
+                    votes[m, 0] = i
+                    votes[m, 1] = k
+                    votes[m, 2] = values[f, 0] - (turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i])
+                    votes[m, 3] = values[f, 1] - (turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i])
+                    m += 1
+                    f += 1
+            place *= alphabet
+    return votes[:m]
+
+
+@njit(cache=True, boundscheck=False)
+def rank_placements(votes, component, smallest):  # type: ignore[no-untyped-def]
+    """Distinct placements with at least `smallest` votes, most votes first: (P, 5) int32 component, k, u, v, votes;
+    and for each vote the index of its placement or -1."""
+    m = len(votes)
+    key = np.empty(m, np.int64)
+    for i in range(m):
+        key[i] = ((np.int64(component[votes[i, 0]]) * 8 + votes[i, 1]) * 65536 + votes[i, 2] + 32768) * 65536 + votes[i, 3] + 32768
+    order = np.argsort(key, kind="mergesort")
+    found = np.empty((m, 5), np.int32)
+    of = np.full(m, -1, np.int32)
+    n = 0
+    s = 0
+    while s < m:
+        e = s
+        while e < m and key[order[e]] == key[order[s]]:
+            e += 1
+        if e - s >= smallest:
+            i = order[s]
+            found[n, 0] = component[votes[i, 0]]
+            found[n, 1] = votes[i, 1]
+            found[n, 2] = votes[i, 2]
+            found[n, 3] = votes[i, 3]
+            found[n, 4] = e - s
+            for t in range(s, e):
+                of[order[t]] = n
+            n += 1
+        s = e
+    rank = np.argsort(-found[:n, 4], kind="mergesort")
+    position = np.empty(n, np.int32)
+    for p in range(n):
+        position[rank[p]] = p
+    for i in range(m):
+        if of[i] >= 0:
+            of[i] = position[of[i]]
+    return found[:n][rank], of
+
+
+@njit(cache=True, boundscheck=False)
+def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, map_letters, window, turn,  # type: ignore[no-untyped-def]
+                    coupling, sweeps, belief, work, members):
+    """Log-odds that each dot of the component belongs to a placement, by mean-field over the lattice.
+
+    Starts from the windows that voted and grows outwards over the lattice; belief (N,) float32 is written for the
+    returned number of `members`.
+    """
+    k = placement[1]
+    log_a = np.log(float(log_p.shape[1]))
+    rows, cols = map_letters.shape
+    size = len(window)
+    count = 0
+    # region: flood from the voters while the letters agree on balance
+    for s in range(len(voters)):
+        i = voters[s]
+        for p in range(size):
+            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+            if work[j] == 0:
+                work[j] = 1
+                members[count] = j
+                count += 1
+    head = 0
+    while head < count:
+        i = members[head]
+        head += 1
+        mu = turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i] + placement[2]
+        mv = turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i] + placement[3]
+        if mu < 0 or mv < 0 or mu >= cols or mv >= rows or map_letters[mv, mu] < 0:
+            belief[i] = -20.0
+            continue
+        belief[i] = log_p[i, map_letters[mv, mu]] + log_a
+        if belief[i] < -0.5:
+            continue
+        for p in range(1, size):
+            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+            if j >= 0 and work[j] == 0:
+                work[j] = 1
+                members[count] = j
+                count += 1
+    own = belief[members[:count]].copy()
+    for s in range(count):
+        work[members[s]] = s + 1
+    q = np.empty(count, np.float32)
+    for s in range(count):
+        q[s] = np.tanh(0.5 * max(-4.0, min(4.0, own[s] * 2.0)))
+    for _ in range(sweeps):
+        for s in range(count):
+            i = members[s]
+            total = 0.0
+            for p in range(1, size):
+                j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+                if j >= 0:
+                    r = work[j] - 1
+                    total += q[r] if r >= 0 else -0.5
+            b = own[s] + coupling * total
+            belief[i] = b
+            q[s] = np.tanh(0.5 * b)
+    for s in range(count):
+        work[members[s]] = 0
+    return count, own
