@@ -1,8 +1,8 @@
-"""Sub-pixel centres, colours and shapes of blobs, from windows of the image around them.
+"""Sub-pixel centres, colours and shapes of blobs.
 
-Every window subtracts its own background (the pixels around that belong to no blob) and ignores the pixels of other blobs.
-The centre is the centroid under an elliptic weight that has the blob's own shape and falls smoothly to zero, iterated to
-its fixed point; a hard threshold would pull it towards the pixel grid.
+A blob's own pixels alone are used, above a background sampled around it where no blob lies. The centre is the centroid
+under an elliptic weight of the blob's own shape that falls smoothly to zero, iterated to its fixed point; a hard threshold
+would pull it towards the pixel grid.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from sl_decoder.segmentation import Segments
 
@@ -23,127 +24,191 @@ class Dots:
     """Measured dots, N entries each.
 
     centre (N, 2) float32 px; colour (N, 3) float32 B, G, R above the background, mean over the core, counts;
-    covariance (N, 3) float32 xx, xy, yy, px^2; noise (N,) float32 standard deviation of a channel's mean, counts;
-    saturated (N,) float32 share of core pixels with a saturated channel.
+    covariance (N, 3) float32 xx, xy, yy of the core, px^2; area (N,) int32 pixels of the core (above half of the peak);
+    noise (N,) float32 uncertainty of a colour channel, counts; saturated (N,) float32 share of saturated core pixels;
+    cut (N,) bool: touches the border of the image.
     """
 
-    centre: np.ndarray
-    colour: np.ndarray
-    covariance: np.ndarray
-    noise: np.ndarray
-    saturated: np.ndarray
+    centre: NDArray[np.float32]
+    colour: NDArray[np.float32]
+    covariance: NDArray[np.float32]
+    area: NDArray[np.int32]
+    noise: NDArray[np.float32]
+    saturated: NDArray[np.float32]
+    cut: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.noise)
 
 
-@njit(cache=True, boundscheck=False, fastmath=True)
-def _measure(smooth, hat, label, start, cov, peak, floor, area, max_radius,  # type: ignore[no-untyped-def]
-             centre, colour, noise, saturated):
+@njit(cache=True, fastmath=True)
+def _measure(signal, smooth, hat, label, pixels, start, peak, floor, circle,  # type: ignore[no-untyped-def]
+             centre, colour, covariance, area, noise, saturated, cut):
     h, w = hat.shape
+    values = hat.ravel()
+    channels = signal.reshape(-1)
+    bright = smooth.reshape(-1)
+    largest = 0
     for j in range(len(peak)):
-        cx, cy = start[j, 0], start[j, 1]
-        cxx, cxy, cyy = cov[j, 0], cov[j, 1], cov[j, 2]
-        det = cxx * cyy - cxy * cxy
-        if det < 1e-3:
-            det = 1e-3
-        ixx, ixy, iyy = cyy / det, -cxy / det, cxx / det
-        rx = min(max_radius, int(SUPPORT * np.sqrt(cxx) * 1.2 + 1.5))
-        ry = min(max_radius, int(SUPPORT * np.sqrt(cyy) * 1.2 + 1.5))
-        x0 = max(0, int(cx + 0.5) - rx)
-        x1 = min(w, int(cx + 0.5) + rx + 1)
-        y0 = max(0, int(cy + 0.5) - ry)
-        y1 = min(h, int(cy + 0.5) + ry + 1)
-        me = j + 1
-        half = floor[j] + 0.5 * (peak[j] - floor[j])
-        nb = 0
-        b0 = b1 = b2 = 0.0
-        nc = 0
-        c0 = c1 = c2 = 0.0
-        s2 = 0.0
-        ns = 0
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                lab = label[y, x]
-                p0, p1, p2 = float(smooth[y, x, 0]), float(smooth[y, x, 1]), float(smooth[y, x, 2])
-                if lab == 0:
-                    nb += 1
-                    b0 += p0
-                    b1 += p1
-                    b2 += p2
-                    s2 += p0 * p0 + p1 * p1 + p2 * p2
-                elif lab == me and hat[y, x] >= half:
-                    nc += 1
-                    c0 += p0
-                    c1 += p1
-                    c2 += p2
-                    if p0 >= SATURATED or p1 >= SATURATED or p2 >= SATURATED:
-                        ns += 1
-        if nb < 4 or nc == 0:
+        largest = max(largest, start[j + 1] - start[j])
+    vx = np.empty(largest, np.float32)
+    vy = np.empty(largest, np.float32)
+    vv = np.empty(largest, np.float32)
+    one = np.float32(1.0)
+    for j in range(len(peak)):
+        s, e = start[j], start[j + 1]
+        half = floor[j] + np.float32(0.5) * (peak[j] - floor[j])
+        n = 0
+        sat = 0
+        sx = sy = sw = np.float32(0)
+        c0 = c1 = c2 = np.float32(0)
+        y_first = pixels[s] // w
+        x_first = pixels[s] - y_first * w
+        xx = xy = yy = np.float32(0)
+        mx = my = np.float32(0)
+        touches = False
+        for k in range(s, e):
+            i = pixels[k]
+            y = i // w
+            x = i - y * w
+            v = np.float32(values[i])
+            if v < half:
+                continue
+            dx = np.float32(x - x_first)
+            dy = np.float32(y - y_first)
+            n += 1
+            v -= floor[j]
+            sw += v
+            sx += v * dx
+            sy += v * dy
+            mx += dx
+            my += dy
+            xx += dx * dx
+            xy += dx * dy
+            yy += dy * dy
+            c0 += channels[3 * i]
+            c1 += channels[3 * i + 1]
+            c2 += channels[3 * i + 2]
+            if bright[3 * i] >= SATURATED or bright[3 * i + 1] >= SATURATED or bright[3 * i + 2] >= SATURATED:
+                sat += 1
+            if x <= 1 or y <= 1 or x >= w - 2 or y >= h - 2:
+                touches = True
+        r = one / n
+        mx *= r
+        my *= r
+        # a pixel is a square: its own variance adds
+        xx = xx * r - mx * mx + np.float32(1 / 12)
+        xy = xy * r - mx * my
+        yy = yy * r - my * my + np.float32(1 / 12)
+        cx = x_first + sx / sw
+        cy = y_first + sy / sw
+        covariance[j, 0] = xx
+        covariance[j, 1] = xy
+        covariance[j, 2] = yy
+        area[j] = n
+        saturated[j] = sat * r
+        cut[j] = touches
+        # the background: where no blob lies, on an ellipse around
+        rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
+        ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
+        b0 = b1 = b2 = np.float32(0)
+        q = np.float32(0)
+        m = 0
+        for k in range(len(circle)):
+            x = int(cx + rx * circle[k, 0] + 0.5)
+            y = int(cy + ry * circle[k, 1] + 0.5)
+            if x < 0 or y < 0 or x >= w or y >= h or label[y, x] != 0:
+                continue
+            i = 3 * (y * w + x)
+            p0, p1, p2 = np.float32(channels[i]), np.float32(channels[i + 1]), np.float32(channels[i + 2])
+            b0 += p0
+            b1 += p1
+            b2 += p2
+            q += p0 * p0 + p1 * p1 + p2 * p2
+            m += 1
+        if m >= 3:
+            b0 /= m
+            b1 /= m
+            b2 /= m
+            spread = np.sqrt(max((q / m - b0 * b0 - b1 * b1 - b2 * b2) / 3.0, 0.3))
+            # neighbouring pixels share the filter: about three of them count as one
+            noise[j] = spread * np.sqrt(one / m + one / max(one, n / np.float32(3)))
+        else:
+            b0 = b1 = b2 = floor[j]
+            noise[j] = max(floor[j], one)
+        c0 = c0 * r - b0
+        c1 = c1 * r - b1
+        c2 = c2 * r - b2
+        colour[j, 0] = c0
+        colour[j, 1] = c1
+        colour[j, 2] = c2
+        # the dot's own mixture of channels has the least noise
+        w0 = max(c0, np.float32(0))
+        w1 = max(c1, np.float32(0))
+        w2 = max(c2, np.float32(0))
+        total = w0 + w1 + w2
+        if total <= 0:
             centre[j, 0] = cx
             centre[j, 1] = cy
-            noise[j] = 0.0
-            for c in range(3):
-                colour[j, c] = 0.0
-            saturated[j] = 0.0
             continue
-        b0 /= nb
-        b1 /= nb
-        b2 /= nb
-        colour[j, 0] = c0 / nc - b0
-        colour[j, 1] = c1 / nc - b1
-        colour[j, 2] = c2 / nc - b2
-        noise[j] = np.sqrt(max(s2 / nb - b0 * b0 - b1 * b1 - b2 * b2, 0.1) / 3.0)
-        saturated[j] = ns / nc
-        # weights of the channels: as they contribute to this dot
-        w0, w1, w2 = max(colour[j, 0], 0.0), max(colour[j, 1], 0.0), max(colour[j, 2], 0.0)
-        total = w0 + w1 + w2
-        if total > 0:
-            w0 /= total
-            w1 /= total
-            w2 /= total
+        w0 /= total
+        w1 /= total
+        w2 /= total
         offset = w0 * b0 + w1 * b1 + w2 * b2
-        k = 1.0 / (SUPPORT * SUPPORT)
-        for _ in range(3):
-            sx = sy = sw = 0.0
-            for y in range(y0, y1):
-                dy = y - cy
-                for x in range(x0, x1):
-                    lab = label[y, x]
-                    if lab != 0 and lab != me:
-                        continue
-                    dx = x - cx
-                    q = 1.0 - k * (ixx * dx * dx + 2.0 * ixy * dx * dy + iyy * dy * dy)
-                    if q <= 0.0:
-                        continue
-                    v = w0 * smooth[y, x, 0] + w1 * smooth[y, x, 1] + w2 * smooth[y, x, 2] - offset
-                    v *= q * q
-                    sw += v
-                    sx += v * dx
-                    sy += v * dy
-            if sw <= 0.0:
+        count = e - s
+        for k in range(count):
+            i = pixels[s + k]
+            y = i // w
+            vx[k] = np.float32(i - y * w) - cx
+            vy[k] = np.float32(y) - cy
+            vv[k] = w0 * channels[3 * i] + w1 * channels[3 * i + 1] + w2 * channels[3 * i + 2] - offset
+        det = max(xx * yy - xy * xy, np.float32(1e-3)) * np.float32(SUPPORT * SUPPORT)
+        ixx = yy / det
+        ixy = -2 * xy / det
+        iyy = xx / det
+        ox = oy = np.float32(0)
+        for _ in range(4):
+            sx = sy = sw = np.float32(0)
+            for k in range(count):
+                dx = vx[k] - ox
+                dy = vy[k] - oy
+                g = max(one - (ixx * dx * dx + ixy * dx * dy + iyy * dy * dy), np.float32(0))
+                g = g * g * vv[k]
+                sw += g
+                sx += g * dx
+                sy += g * dy
+            if sw <= 0:
                 break
-            # the centroid under a weight of the blob's own width moves by about half of the offset
-            mx = 1.6 * sx / sw
-            my = 1.6 * sy / sw
-            cx += mx
-            cy += my
-            if mx * mx + my * my < 1e-5:
+            # under a weight of the blob's own width the centroid moves by about 0.6 of the offset
+            sx = np.float32(1.6) * sx / sw
+            sy = np.float32(1.6) * sy / sw
+            ox += sx
+            oy += sy
+            if sx * sx + sy * sy < 2e-5:
                 break
-        if (cx - start[j, 0]) ** 2 + (cy - start[j, 1]) ** 2 > 0.5 * (cxx + cyy) + 0.25:
-            cx, cy = start[j, 0], start[j, 1]
-        centre[j, 0] = cx
-        centre[j, 1] = cy
+        if ox * ox + oy * oy > 0.5 * (xx + yy) + 0.25:
+            ox = oy = np.float32(0)
+        centre[j, 0] = cx + ox
+        centre[j, 1] = cy + oy
 
 
-def measure(segments: Segments, *, max_radius: int = 40) -> Dots:
-    """Measure all blobs of a segmented image; `max_radius` bounds the windows [px]."""
-    blobs = segments.blobs
-    n = len(blobs)
-    centre = np.empty((n, 2), np.float32)
-    colour = np.empty((n, 3), np.float32)
-    noise = np.empty(n, np.float32)
-    saturated = np.empty(n, np.float32)
-    _measure(segments.smooth, segments.hat, segments.label, blobs.centre, blobs.covariance, blobs.peak, blobs.floor,
-             blobs.area, max_radius, centre, colour, noise, saturated)
-    return Dots(centre, colour, blobs.covariance, noise, saturated)
+_ANGLE = np.arange(16) * (2 * np.pi / 16)
+_CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
+
+
+def measure(segments: Segments) -> Dots:
+    """Measure all blobs of a segmented image."""
+    n = len(segments)
+    dots = Dots(
+        centre=np.empty((n, 2), np.float32),
+        colour=np.empty((n, 3), np.float32),
+        covariance=np.empty((n, 3), np.float32),
+        area=np.empty(n, np.int32),
+        noise=np.empty(n, np.float32),
+        saturated=np.empty(n, np.float32),
+        cut=np.empty(n, np.bool_),
+    )
+    _measure(segments.signal, segments.smooth, segments.hat, segments.label, segments.pixels, segments.start,
+             segments.peak, segments.floor, _CIRCLE, dots.centre, dots.colour, dots.covariance, dots.area, dots.noise,
+             dots.saturated, dots.cut)
+    return dots

@@ -165,7 +165,8 @@ def log_likelihood(colour, signal, field, noise, letter_group, direction, spread
             out[i, k] = np.log((1.0 - OUTLIER) * fit * out[i, k] / total + (OUTLIER + (1.0 - OUTLIER) * (1.0 - fit)) / a)
 
 
-def _signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> np.ndarray:
+def log_signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Logarithm (N,) of each dot's signal along its group's colour direction."""
     projected = np.einsum("ij,ij->i", colour, direction[group])
     return np.log(np.maximum(projected, 0.5)).astype(np.float32)
 
@@ -191,7 +192,7 @@ def initial_letters(
         direction[ok] = (total[ok] / norm[ok, None]).astype(np.float32)
     group = np.empty(len(colour), np.int32)
     _assign_groups(colour, direction, group)
-    signal = _signal(colour, direction, group)
+    signal = log_signal(colour, direction, group)
     n_groups = len(direction)
     group_level = np.array([np.median(signal[use & (group == g)]) if (use & (group == g)).any() else 0.0 for g in range(n_groups)])
     # levels: start from the ranks of the deviation from the local mean, in the shares of the map

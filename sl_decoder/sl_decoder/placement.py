@@ -8,8 +8,6 @@ placement or not) over the lattice, solved by mean-field message passing, cuts t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 
@@ -19,19 +17,13 @@ COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
 SWEEPS = 6
 
 
-@dataclass(frozen=True)
-class Cells:
-    """Dots of all components laid out on their lattices: cell (M,) int32 dot index or -1 in one flat array;
-    at (N,) int32 the cell of each dot or -1; width (N,) int32 row length of the component's block."""
-
-    cell: np.ndarray
-    at: np.ndarray
-    width: np.ndarray
-
-
 @njit(cache=True, boundscheck=False)
 def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-untyped-def]
-    """Lay the components with at least `smallest` dots out; dots that share a cell are in conflict and left out."""
+    """Lay the components with at least `smallest` dots out on their lattices.
+
+    Returns cell (M,) int32 dot index or -1, all components in one flat array; at (N,) int32 the cell of each dot or -1;
+    width (N,) int32 row length of the component's block. Dots that share a cell are in conflict and left out.
+    """
     n = len(component)
     size = np.zeros(count, np.int64)
     u0 = np.full(count, 1 << 30)
@@ -262,3 +254,75 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
     for s in range(count):
         work[members[s]] = 0
     return count, own
+
+
+@njit(cache=True)
+def place(found, of, votes, cell, at, width, component, u, v, log_p, map_letters, window, turn, coupling, sweeps,  # type: ignore[no-untyped-def]
+          first_evidence, next_evidence, least_belief, claim, holder_u, holder_v):
+    """Accept placements by their evidence and let their dots claim the map's elements.
+
+    The first placement of an image needs `first_evidence` (log-likelihood ratio over all windows, orientations and
+    trials), the others `next_evidence`, since the pattern is then known to be there. Where two placements claim one
+    element, or one dot, the better supported keeps it. Returns number of accepted placements and their evidence.
+    """
+    n = len(at)
+    belief = np.empty(n, np.float32)
+    work = np.zeros(n, np.int32)
+    members = np.empty(n + 16, np.int32)
+    strength = np.full(n, -1e9, np.float32)
+    n_found = len(found)
+    begin = np.zeros(n_found + 1, np.int64)
+    for i in range(len(of)):
+        if of[i] >= 0:
+            begin[of[i] + 1] += 1
+    for p in range(n_found):
+        begin[p + 1] += begin[p]
+    fill = begin[:-1].copy()
+    sorted_votes = np.empty(begin[n_found], np.int32)
+    for i in range(len(of)):
+        if of[i] >= 0:
+            sorted_votes[fill[of[i]]] = votes[i, 0]
+            fill[of[i]] += 1
+    accepted = 0
+    evidence = 0.0
+    voters = np.empty(n, np.int32)
+    for p in range(n_found):
+        m = 0
+        for s in range(begin[p], begin[p + 1]):
+            i = sorted_votes[s]
+            if holder_v[i] < 0:
+                voters[m] = i
+                m += 1
+        if m == 0:
+            continue
+        count, own = solve_placement(found[p], voters[:m], cell, at, width, component, u, v, log_p, map_letters, window,
+                                     turn, coupling, sweeps, belief, work, members)
+        total = 0.0
+        for s in range(count):
+            if belief[members[s]] > least_belief:
+                total += own[s]
+        if total < (first_evidence if accepted == 0 else next_evidence):
+            continue
+        accepted += 1
+        evidence += total
+        k = found[p, 1]
+        for s in range(count):
+            i = members[s]
+            if belief[i] <= least_belief:
+                continue
+            mu = turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i] + found[p, 2]
+            mv = turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i] + found[p, 3]
+            mine = min(belief[i], np.float32(total))
+            if holder_v[i] >= 0:
+                continue
+            other = claim[mv, mu]
+            if other >= 0:
+                if strength[other] >= mine:
+                    continue
+                holder_v[other] = -1
+                holder_u[other] = -1
+            claim[mv, mu] = i
+            holder_v[i] = mv
+            holder_u[i] = mu
+            strength[i] = mine
+    return accepted, evidence

@@ -1,4 +1,4 @@
-"""Segmentation: a camera image to blobs, with a threshold, a background and a scale that adapt to the image.
+"""Segmentation: a camera image to blobs, with background, threshold and separation that adapt to the image everywhere.
 
 The background of every channel is its morphological opening (whatever is wider than a dot stays, dots vanish), so ambient
 light, its colour and albedo steps drop out. What remains, the largest channel of the white top-hat, is split into
@@ -13,63 +13,44 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 BLOCK = 32  # side of the squares in which noise is measured [px]
-SADDLE_RATIO = 0.8  # basins meeting higher than this share of the lower peak are one dot
-NOISE_FACTOR = 4.0  # a dot's peak stands this many standard deviations above the background
+SADDLE_RATIO = 0.8  # basins that meet higher than this share of the lower peak are one dot
+NOISE_FACTOR = 4.0  # a dot's pixels stand this many standard deviations above the background
+MAX_BLOBS = 30000
 
 
 @dataclass(frozen=True)
-class Blobs:
-    """Blobs of one image: N entries each.
+class Segments:
+    """A segmented image with N blobs.
 
-    centre (N, 2) float32 intensity-weighted, px; peak (N,) float32 top-hat height, counts; floor (N,) float32 background
-    level of the top-hat; area (N,) int32 pixels above half of the peak; covariance (N, 3) float32 xx, xy, yy of these
-    pixels, px^2; saturated (N,) bool.
+    signal (H, W, 3) uint8: image above its background, under the 3x3 binomial filter that removes the mosaic's frequency;
+    hat (H, W) uint8 its largest channel; label (H, W) int32 blob index + 1 or 0; pixels (P,) int32 flat indices sorted by
+    blob, start (N + 1,) int32 where each blob's begin; peak, floor (N,) float32 height of the blob and of the background
+    around it in `hat`; saturation (H, W) uint8 largest channel of the smoothed image.
     """
 
-    centre: np.ndarray
-    peak: np.ndarray
-    floor: np.ndarray
-    area: np.ndarray
-    covariance: np.ndarray
+    signal: NDArray[np.uint8]
+    smooth: NDArray[np.uint8]
+    hat: NDArray[np.uint8]
+    label: NDArray[np.int32]
+    pixels: NDArray[np.int32]
+    start: NDArray[np.int32]
+    peak: NDArray[np.float32]
+    floor: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.peak)
 
 
-@dataclass(frozen=True)
-class Segments:
-    """A segmented image: blobs, and per pixel (H, W) the top-hat uint8 and the label int32 (blob index + 1, 0 none);
-    smooth (H, W, 3) uint8 is the image under the 3x3 binomial filter that removes the mosaic's frequency."""
-
-    blobs: Blobs
-    smooth: np.ndarray
-    hat: np.ndarray
-    label: np.ndarray
-
-
-@njit(cache=True, boundscheck=False)
-def _top_hat(smooth, background, out):  # type: ignore[no-untyped-def]
-    h, w = out.shape
-    for y in range(h):
-        yb = min(y >> 1, background.shape[0] - 1)
-        for x in range(w):
-            xb = min(x >> 1, background.shape[1] - 1)
-            a = np.int32(smooth[y, x, 0]) - np.int32(background[yb, xb, 0])
-            b = np.int32(smooth[y, x, 1]) - np.int32(background[yb, xb, 1])
-            c = np.int32(smooth[y, x, 2]) - np.int32(background[yb, xb, 2])
-            m = max(a, max(b, c))
-            out[y, x] = m if m > 0 else 0
-
-
-@njit(cache=True, boundscheck=False)
-def _noise(hat, floor, threshold, factor):  # type: ignore[no-untyped-def]
-    """Floor and threshold per block from low percentiles of the top-hat (dots cover the smaller part)."""
+@njit(cache=True)
+def measure_noise(hat, factor, floor, threshold):  # type: ignore[no-untyped-def]
+    """Level and threshold of the background per block, from low percentiles (dots cover the smaller part)."""
     h, w = hat.shape
     ny, nx = floor.shape
-    lo = np.empty((ny, nx), np.float32)
-    sd = np.empty((ny, nx), np.float32)
+    low = np.empty((ny, nx), np.float32)
+    deviation = np.empty((ny, nx), np.float32)
     hist = np.empty(256, np.int32)
     for by in range(ny):
         for bx in range(nx):
@@ -80,20 +61,20 @@ def _noise(hat, floor, threshold, factor):  # type: ignore[no-untyped-def]
                     hist[hat[y, x]] += 1
                     n += 1
             acc = 0
-            q5 = -1.0
-            q35 = -1.0
-            for v in range(256):
-                if hist[v] == 0:
+            q5 = np.float32(-1.0)
+            q35 = np.float32(-1.0)
+            for value in range(256):
+                if hist[value] == 0:
                     continue
                 before = acc
-                acc += hist[v]
+                acc += hist[value]
                 if q5 < 0 and acc >= 0.05 * n:
-                    q5 = v - 0.5 + (0.05 * n - before) / hist[v]
-                if q35 < 0 and acc >= 0.35 * n:
-                    q35 = v - 0.5 + (0.35 * n - before) / hist[v]
+                    q5 = np.float32(value - 0.5 + (0.05 * n - before) / hist[value])
+                if acc >= 0.35 * n:
+                    q35 = np.float32(value - 0.5 + (0.35 * n - before) / hist[value])
                     break
-            lo[by, bx] = q35
-            sd[by, bx] = max((q35 - q5) / 1.26, 0.5)
+            low[by, bx] = q35
+            deviation[by, bx] = max((q35 - q5) / 1.26, 0.5)
     for by in range(ny):
         for bx in range(nx):
             a = np.float32(0)
@@ -102,14 +83,14 @@ def _noise(hat, floor, threshold, factor):  # type: ignore[no-untyped-def]
             for y in range(max(0, by - 1), min(ny, by + 2)):
                 for x in range(max(0, bx - 1), min(nx, bx + 2)):
                     k = 2 if (y == by and x == bx) else 1
-                    a += lo[y, x] * k
-                    b += sd[y, x] * k
+                    a += low[y, x] * k
+                    b += deviation[y, x] * k
                     n += k
             floor[by, bx] = a / n
             threshold[by, bx] = a / n + max(3.0, factor * b / n)
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True, inline="always")
 def _find(parent, i):  # type: ignore[no-untyped-def]
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -117,78 +98,76 @@ def _find(parent, i):  # type: ignore[no-untyped-def]
     return i
 
 
-@njit(cache=True, boundscheck=False)
-def _basins(hat, floor, threshold, label, pixels, peak, base, saddle_ratio):  # type: ignore[no-untyped-def]
-    """Steepest-ascent basins of the pixels above threshold, merged over high saddles.
+@njit(cache=True)
+def ascend(hat, threshold, label, pixels):  # type: ignore[no-untyped-def]
+    """Point every pixel above threshold to the highest of its 3x3 neighbourhood: label = -(target + 1), 0 elsewhere.
 
-    label (H, W) int32 gets the index of the basin + 1, pixels the flat indices of all labelled pixels in raster order.
-    Returns number of basins, number of pixels, parent (union-find over basins).
+    Ties go to the later pixel, so that the pointers never form a cycle. Returns how many `pixels` were listed.
     """
     h, w = hat.shape
-    n_pixels = 0
+    n = 0
     capacity = len(pixels)
-    # each pixel above threshold points to its highest neighbour
-    for y in range(h):
-        by = y // BLOCK
-        for bx in range(threshold.shape[1]):
-            t = threshold[by, bx]
-            for x in range(bx * BLOCK, min(w, (bx + 1) * BLOCK)):
-                v = hat[y, x]
-                if v <= t or y == 0 or x == 0 or y == h - 1 or x == w - 1 or n_pixels >= capacity:
-                    label[y, x] = 0
-                    continue
-                i = y * w + x
-                best = v
-                to = i
-                if hat[y - 1, x - 1] > best:
-                    best = hat[y - 1, x - 1]
-                    to = i - w - 1
-                if hat[y - 1, x] > best:
-                    best = hat[y - 1, x]
-                    to = i - w
-                if hat[y - 1, x + 1] > best:
-                    best = hat[y - 1, x + 1]
-                    to = i - w + 1
-                if hat[y, x - 1] > best:
-                    best = hat[y, x - 1]
-                    to = i - 1
-                if hat[y, x + 1] >= best:
-                    best = hat[y, x + 1]
-                    to = i + 1
-                if hat[y + 1, x - 1] >= best:
-                    best = hat[y + 1, x - 1]
-                    to = i + w - 1
-                if hat[y + 1, x] >= best:
-                    best = hat[y + 1, x]
-                    to = i + w
-                if hat[y + 1, x + 1] >= best:
-                    best = hat[y + 1, x + 1]
-                    to = i + w + 1
-                label[y, x] = -to - 1
-                pixels[n_pixels] = i
-                n_pixels += 1
+    limits = np.empty(w, np.uint8)
+    for x in range(w):
+        label[0, x] = 0
+        label[h - 1, x] = 0
+    for y in range(1, h - 1):
+        if y == 1 or y % BLOCK == 0:
+            for x in range(w):
+                limits[x] = np.uint8(min(255.0, threshold[y // BLOCK, x // BLOCK]))
+        label[y, 0] = 0
+        label[y, w - 1] = 0
+        above, here, below = hat[y - 1], hat[y], hat[y + 1]
+        for x in range(1, w - 1):
+            value = here[x]
+            if value <= limits[x] or n >= capacity:
+                label[y, x] = 0
+                continue
+            # value and place of the neighbour in one number: branchless maximum, later places win ties
+            best = (np.int32(above[x - 1]) << 4)
+            best = max(best, (np.int32(above[x]) << 4) | 1)
+            best = max(best, (np.int32(above[x + 1]) << 4) | 2)
+            best = max(best, (np.int32(here[x - 1]) << 4) | 3)
+            best = max(best, (np.int32(value) << 4) | 4)
+            best = max(best, (np.int32(here[x + 1]) << 4) | 5)
+            best = max(best, (np.int32(below[x - 1]) << 4) | 6)
+            best = max(best, (np.int32(below[x]) << 4) | 7)
+            best = max(best, (np.int32(below[x + 1]) << 4) | 8)
+            place = best & 15
+            row = place // 3
+            i = y * w + x
+            label[y, x] = -(i + (row - 1) * w + (place - 3 * row - 1)) - 1
+            pixels[n] = i
+            n += 1
+    return n
+
+
+@njit(cache=True)
+def collect_basins(hat, floor, label, pixels, n_pixels, saddle_ratio, max_basins):  # type: ignore[no-untyped-def]
+    """Follow the pointers of `ascend` to basins and merge basins over high saddles.
+
+    Rewrites label to blob index + 1. Returns the pixels sorted by blob, where each blob starts, peaks and floors.
+    """
+    h, w = hat.shape
     flat = label.ravel()
     values = hat.ravel()
+    peak = np.empty(max_basins, np.float32)
+    base = np.empty(max_basins, np.float32)
     n = 0
-    limit = len(peak)
     for k in range(n_pixels):
         i = pixels[k]
-        if flat[i] > 0:
-            continue
-        # climb to a root or to a labelled pixel, then label the path
         j = i
         while flat[j] < 0 and -flat[j] - 1 != j:
             j = -flat[j] - 1
         if flat[j] < 0:
-            if n >= limit:
-                flat[j] = 0
-                found = 0
-            else:
+            if n < max_basins:
                 peak[n] = values[j]
                 base[n] = floor[(j // w) // BLOCK, (j % w) // BLOCK]
                 n += 1
                 found = n
-                flat[j] = found
+            else:
+                found = 0
+            flat[j] = found
         else:
             found = flat[j]
         j = i
@@ -197,116 +176,84 @@ def _basins(hat, floor, threshold, label, pixels, peak, base, saddle_ratio):  # 
             flat[j] = found
             j = to
     parent = np.arange(n)
+    around = (-w - 1, -w, -w + 1, -1, 1, w - 1, w, w + 1)
     for k in range(n_pixels):
         i = pixels[k]
         a = flat[i]
         if a == 0:
             continue
-        for step in (1, w - 1, w, w + 1):
-            b = flat[i + step]
-            if b > 0 and b != a:
-                ra = _find(parent, a - 1)
-                rb = _find(parent, b - 1)
+        a -= 1
+        enough = base[a] + saddle_ratio * (peak[a] - base[a])
+        if values[i] < enough:
+            continue
+        for step in around:
+            b = flat[i + step] - 1
+            if b >= 0 and b != a and values[i + step] >= enough:
+                ra = _find(parent, a)
+                rb = _find(parent, b)
                 if ra != rb:
-                    low = min(values[i], values[i + step])
                     if peak[ra] < peak[rb]:
                         ra, rb = rb, ra
+                    low = min(values[i], values[i + step])
                     if low - base[rb] >= saddle_ratio * (peak[rb] - base[rb]):
                         parent[rb] = ra
-    return n, n_pixels, parent
-
-
-@njit(cache=True, boundscheck=False)
-def _measure(hat, label, pixels, n_pixels, n, parent, peak, base):  # type: ignore[no-untyped-def]
-    w = hat.shape[1]
-    values = hat.ravel()
-    flat = label.ravel()
     index = np.full(n, -1, np.int32)
     m = 0
     for i in range(n):
         if parent[i] == i:
+            peak[m] = peak[i]
+            base[m] = base[i]
             index[i] = m
             m += 1
     for i in range(n):
         index[i] = index[_find(parent, i)]
-    top = np.empty(m, np.float32)
-    floor = np.empty(m, np.float32)
-    for i in range(n):
-        if parent[i] == i:
-            top[index[i]] = peak[i]
-            floor[index[i]] = base[i]
-    total = np.zeros(m, np.float64)
-    sx = np.zeros(m, np.float64)
-    sy = np.zeros(m, np.float64)
-    area = np.zeros(m, np.int32)
+    start = np.zeros(m + 2, np.int32)
     for k in range(n_pixels):
         i = pixels[k]
-        if flat[i] == 0:
-            continue
-        j = index[flat[i] - 1]
-        flat[i] = j + 1
-        v = values[i] - floor[j]
-        p = top[j] - floor[j]
-        if v < 0.5 * p:
-            continue
-        area[j] += 1
-        total[j] += v
-        y = i // w
-        sx[j] += v * (i - y * w)
-        sy[j] += v * y
-    centre = np.empty((m, 2), np.float32)
+        if flat[i] > 0:
+            j = index[flat[i] - 1] + 1
+            flat[i] = j
+            start[j + 1] += 1
     for j in range(m):
-        centre[j, 0] = sx[j] / total[j]
-        centre[j, 1] = sy[j] / total[j]
-    cov = np.zeros((m, 3), np.float32)
+        start[j + 2] += start[j + 1]
+    ordered = np.empty(start[m + 1], np.int32)
     for k in range(n_pixels):
         i = pixels[k]
-        if flat[i] == 0:
-            continue
-        j = flat[i] - 1
-        v = values[i] - floor[j]
-        if v < 0.5 * (top[j] - floor[j]):
-            continue
-        y = i // w
-        dx = (i - y * w) - centre[j, 0]
-        dy = y - centre[j, 1]
-        cov[j, 0] += dx * dx
-        cov[j, 1] += dx * dy
-        cov[j, 2] += dy * dy
-    for j in range(m):
-        for c in range(3):
-            cov[j, c] /= area[j]
-        cov[j, 0] += 1.0 / 12.0
-        cov[j, 2] += 1.0 / 12.0
-    return centre, top, floor, area, cov
+        j = flat[i]
+        if j > 0:
+            ordered[start[j]] = i
+            start[j] += 1
+    return ordered, start[: m + 1], peak[:m].copy(), base[:m].copy()
 
 
-def top_hat(bgr: np.ndarray, kernel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest channel above the background: image (H, W, 3) uint8, side of the opening [px].
+def above_background(bgr: NDArray[np.uint8], kernel: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Image (H, W, 3) above its background: (H, W, 3) uint8 signal, (H, W) its largest channel, (H, W, 3) smoothed.
 
-    Returns top-hat (H, W) uint8, the smoothed image (H, W, 3) and the background at half resolution.
+    kernel: side of the opening [px]; the background is found at half resolution.
     """
+    h, w = bgr.shape[:2]
     smooth = cv2.GaussianBlur(bgr, (3, 3), 0)
-    half = cv2.resize(smooth, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    half = cv2.resize(smooth, ((w + 1) // 2, (h + 1) // 2), interpolation=cv2.INTER_AREA)
     side = max(3, (kernel // 2) | 1)
-    background = cv2.morphologyEx(half, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
-    hat = np.empty(bgr.shape[:2], np.uint8)
-    _top_hat(smooth, background, hat)
-    return hat, smooth, background
+    half = cv2.morphologyEx(half, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    signal = cv2.subtract(smooth, cv2.resize(half, (w, h), interpolation=cv2.INTER_NEAREST))
+    blue, green, red = cv2.split(signal)
+    return signal, cv2.max(cv2.max(blue, green), red), smooth
 
 
-def segment(bgr: np.ndarray, kernel: int, *, max_blobs: int = 20000) -> Segments:
-    """Blobs of an image (H, W, 3) uint8; `kernel` is the side of the opening, a little more than a dot's width [px]."""
-    hat, smooth, _ = top_hat(bgr, kernel)
+def segment(bgr: NDArray[np.uint8], kernel: int) -> Segments:
+    """Blobs of an image (H, W, 3) uint8.
+
+    kernel: side of the opening [px], wider than a dot and not much wider than the dots' distance.
+    """
+    signal, hat, smooth = above_background(bgr, kernel)
     h, w = hat.shape
     shape = (-(-h // BLOCK), -(-w // BLOCK))
-    floor = np.empty(shape, np.float32)
+    level = np.empty(shape, np.float32)
     threshold = np.empty(shape, np.float32)
-    _noise(hat, floor, threshold, NOISE_FACTOR)
+    measure_noise(hat, NOISE_FACTOR, level, threshold)
     label = np.empty((h, w), np.int32)
-    pixels = np.empty(h * w // 2, np.int32)
-    peak = np.empty(max_blobs, np.float32)
-    base = np.empty(max_blobs, np.float32)
-    n, n_pixels, parent = _basins(hat, floor, threshold, label, pixels, peak, base, SADDLE_RATIO)
-    centre, top, low, area, cov = _measure(hat, label, pixels, n_pixels, n, parent, peak, base)
-    return Segments(Blobs(centre, top, low, area, cov), smooth, hat, label)
+    pixels = np.empty(h * w // 2 + 16, np.int32)
+    n = ascend(hat, threshold, label, pixels)
+    ordered, start, peak, floor = collect_basins(hat, level, label, pixels, n, SADDLE_RATIO, MAX_BLOBS)
+    return Segments(signal, smooth, hat, label, ordered, start, peak, floor)
