@@ -147,8 +147,8 @@ def load_views(
 ) -> tuple[list[View], list[str]]:
     """Pair the poses of a motion with DIR/<image name>.csv; returns the views and one note per image left out.
 
-    Images without file or with fewer than ``least_dots`` dots are left out. Raises InvalidInputError when two views name
-    the same image or no image has a file.
+    Images without file or with fewer than ``least_dots`` dots are left out. Raises InvalidInputError when two views
+    name the same image or no image has a file.
     """
     names = [Path(image).stem for image in motion.images]
     repeated = sorted({name for name in names if names.count(name) > 1})
@@ -168,7 +168,7 @@ def load_views(
         views.append(View(name, dots.row[keep], dots.col[keep], dots.pixels[keep], _orthonormal(pose)))
     if not views:
         found = len(list(Path(folder).glob("*.csv"))) if Path(folder).is_dir() else 0
-        raise InvalidInputError(f"{folder}: no usable correspondences for the {len(names)} images ({found} CSV files)")
+        raise InvalidInputError(f"{folder}: no usable correspondences of {len(names)} images ({found} CSV files)")
     return views, notes
 
 
