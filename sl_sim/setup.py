@@ -1,3 +1,5 @@
+from glob import glob
+
 from setuptools import find_packages, setup
 
 package_name = "sl_sim"
@@ -9,7 +11,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/description", glob("sl_sim/description/*.urdf") + glob("sl_sim/description/*.yaml")),
     ],
+    package_data={package_name: ["description/*.urdf", "description/*.yaml"]},
     install_requires=["setuptools"],
     zip_safe=False,
     maintainer="The structured-light positioning maintainers",
@@ -19,6 +23,8 @@ setup(
     entry_points={
         "console_scripts": [
             "cell = sl_sim.node:main",
+            "render_dataset = sl_sim.commands.render_dataset:main",
+            "render_motion = sl_sim.commands.render_motion:main",
         ],
     },
 )
