@@ -1,1 +1,1 @@
-"""Launch files, default configurations, demo, bag replay and benchmarks of the structured-light stack."""
+"""The stack as a whole: demo, replay of bags, benchmarks."""

@@ -1,0 +1,1 @@
+"""MCAP bags: written and read with rosbags, which works with and without a full ROS installation."""
