@@ -1,5 +1,6 @@
 """/diagnostics at 1 Hz (REP-107): rates of what passes through a node, key values, and one level with its reason."""
 
+import threading
 import time
 from collections import Counter, deque
 from typing import Any
@@ -15,7 +16,7 @@ _WINDOW = 5.0
 
 
 class Diagnostics:
-    """Collects a node's figures and publishes them once a second."""
+    """Collects a node's figures, from any thread, and publishes them once a second."""
 
     def __init__(self, node: Node, hardware_id: str = "") -> None:
         self._node = node
@@ -24,19 +25,22 @@ class Diagnostics:
         self._values: dict[str, str] = {}
         self._times: dict[str, deque[float]] = {}
         self._counts: Counter[str] = Counter()
+        self._lock = threading.Lock()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(1.0, self.publish)
 
     def tick(self, name: str) -> None:
         """Count one event of ``name`` (an image received, a cloud published): its rate [1/s] and total are reported."""
         now = time.monotonic()
-        times = self._times.setdefault(name, deque(maxlen=2000))
-        times.append(now)
-        self._counts[name] += 1
+        with self._lock:
+            self._times.setdefault(name, deque(maxlen=2000)).append(now)
+            self._counts[name] += 1
 
     def set(self, key: str, value: Any) -> None:
         """Set a key value; floats are shown with four significant digits."""
-        self._values[key] = f"{value:.4g}" if isinstance(value, float) else str(value)
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        with self._lock:
+            self._values[key] = text
 
     def level(self, level: bytes, message: str) -> None:
         """Set the level (OK, WARN or ERROR) and the sentence that says why."""
@@ -45,13 +49,15 @@ class Diagnostics:
     def rate(self, name: str) -> float:
         """Return the rate of ``name`` over the last five seconds [1/s]."""
         now = time.monotonic()
-        recent = [t for t in self._times.get(name, ()) if now - t <= _WINDOW]
+        with self._lock:
+            recent = [t for t in self._times.get(name, ()) if now - t <= _WINDOW]
         return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 else 0.0
 
     def publish(self) -> None:
         """Publish now; called by the timer."""
-        values = dict(self._values)
-        for name, count in self._counts.items():
+        with self._lock:
+            values, counts = dict(self._values), dict(self._counts)
+        for name, count in counts.items():
             values[f"{name} rate [1/s]"] = f"{self.rate(name):.4g}"
             values[f"{name} total"] = str(count)
         status = DiagnosticStatus(
