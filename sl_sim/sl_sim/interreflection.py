@@ -16,8 +16,8 @@ from sl_sim.raycast import RayCaster
 
 CELLS = (24, 18)
 """Sources across and down the panel."""
-STEP = 10
-"""Lattice nodes between receivers."""
+SPACING = 10
+"""Distance of the receivers [px]."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,11 @@ def transfer(
     points: np.ndarray,
     normals: np.ndarray,
     body: np.ndarray,
+    step: int,
 ) -> Transfer:
-    """Trace sources, receivers and what lies between; points, normals (h, w, 3), body (h, w): the camera's node lattice."""
+    """Trace sources, receivers and what lies between; points, normals (h, w, 3), body (h, w): the camera's node lattice; step: nodes
+    between receivers.
+    """
     across, down = CELLS
     cell = np.array([projector.width / across, projector.height / down])
     u, v = np.meshgrid((np.arange(across) + 0.5) * cell[0] - 0.5, (np.arange(down) + 0.5) * cell[1] - 0.5)
@@ -61,7 +64,7 @@ def transfer(
     albedo = caster.albedo[caster.faces[np.maximum(hits.face, 0), 0]]
     spread2 = cell.prod() / focal * (source - origin)[:, None, :] @ (source - origin)[:, :, None] / np.pi
 
-    at = points[::STEP, ::STEP], normals[::STEP, ::STEP], body[::STEP, ::STEP]
+    at = points[::step, ::step], normals[::step, ::step], body[::step, ::step]
     receiver, receiver_normal = at[0].reshape(-1, 3).astype(float), at[1].reshape(-1, 3).astype(float)
     between = receiver[:, None, :] - source[None]
     distance2 = (between**2).sum(-1)

@@ -101,11 +101,11 @@ def shade_points(
 
 
 @njit(cache=True)
-def uneven_cells(points, normals, body, flags, pixel_angle, uneven):
+def uneven_cells(points, normals, albedo, body, flags, uneven):
     """Mark cells of a node lattice (h, w, ...) over which nothing may be interpolated; uneven (h-1, w-1) uint8.
 
-    A cell is even when its four nodes lie on one body, are all lit or all dark, have normals within about 8 degrees and
-    lie in each other's tangent planes; pixel_angle [rad] is the lattice step.
+    A cell is even when its four nodes lie on one body, are all lit or all dark, are painted alike, have normals within
+    about 8 degrees and lie in each other's tangent planes.
     """
     h, w = body.shape
     for i in range(h - 1):
@@ -123,6 +123,9 @@ def uneven_cells(points, normals, body, flags, pixel_angle, uneven):
                     c = 0.0
                     d2, s1, s2 = 0.0, 0.0, 0.0
                     for a in range(3):
+                        r1, r2 = albedo[i1, j1, a], albedo[i2, j2, a]
+                        if abs(r1 - r2) > 0.1 * (r1 + r2):
+                            bad = True
                         n1, n2 = normals[i1, j1, a], normals[i2, j2, a]
                         d = points[i2, j2, a] - points[i1, j1, a]
                         c += n1 * n2
@@ -161,12 +164,13 @@ def _look_up(light, scale, u, v, out):
 
 
 @njit(cache=True, fastmath=True)
-def gather(light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_sky, cell, fraction, part, samples, image):
+def gather(
+    light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_sky, cell, fraction, part, samples, across, image
+):  # fmt: skip
     """Integrate the radiance over each pixel's samples x samples sub-pixels into image (H, W, 3) float32.
 
-    The node lattice starts half a pixel pitch outside: node (i, j) is pixel centre (i - 1, j - 1). Sub-pixel k of an axis
-    lies in lattice cell cell[k] at fraction[k] and is sample part[k] of that cell. Cells with slot_of_cell >= 0 have their
-    own traced samples fine_* (slots, samples * samples, .).
+    Sub-pixel k of an axis lies in cell cell[k] of the node lattice at fraction[k] and is sample part[k] of that cell's
+    `across`. Cells with slot_of_cell >= 0 have their own traced samples fine_* (slots, across * across, .).
     """
     height, width = image.shape[0], image.shape[1]
     texel = np.zeros(3)
@@ -182,7 +186,7 @@ def gather(light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_s
                     cj = cell[kx]
                     slot = slot_of_cell[ci, cj]
                     if slot >= 0:
-                        p = part[ky] * samples + part[kx]
+                        p = part[ky] * across + part[kx]
                         red += fine_sky[slot, p, 0]
                         green += fine_sky[slot, p, 1]
                         blue += fine_sky[slot, p, 2]

@@ -61,6 +61,7 @@ def declare_all(node: Node, joints: list[str]) -> CellParameters:
     )
     effects = EFFECTS[declare(node, "effects", "lab", "light, projector and sensor effects", choices=tuple(EFFECTS))]
     bounce = declare(node, "interreflection", False, "add one bounce of the projector's light (slower)")
+    lattice = declare(node, "lattice", 2, "distance of traced rays where the surface is smooth", unit="px", minimum=1, maximum=4)
     samples = declare(node, "samples", 2, "sub-pixels per pixel and axis", minimum=1, maximum=5)
     ambient = declare(
         node, "ambient", effects.render.ambient, "ambient light on white over projector white at 1 m", minimum=0.0, maximum=10.0
@@ -70,7 +71,7 @@ def declare_all(node: Node, joints: list[str]) -> CellParameters:
     jpeg = declare(node, "jpeg", effects.sensor.jpeg, "JPEG quality of the transport, 0 = none", minimum=0, maximum=100)
     effects = replace(
         effects,
-        render=replace(effects.render, interreflection=bounce, samples=samples, ambient=ambient),
+        render=replace(effects.render, interreflection=bounce, samples=samples, lattice=lattice, ambient=ambient),
         sensor=replace(effects.sensor, exposure=exposure, read_noise=noise, jpeg=jpeg),
     )
     return CellParameters(

@@ -1,7 +1,6 @@
 """Images of a scene in a projector's light, as a camera sees it.
 
-Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of one node per pixel; where
-the surface between four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
+Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of nodes; where between four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
 transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where neither
 camera, projector nor scene has moved, all of this is kept and only the light is gathered again.
 """
@@ -23,6 +22,7 @@ class RenderOptions:
 
     Attributes:
         samples: sub-pixels per pixel and axis.
+        lattice: distance of the nodes [px]; details smaller than that between even nodes may be missed.
         ambient: radiance of a white surface by ambient light, relative to projector white on it at 1 m.
         ambient_colour: (3,) RGB of the ambient light.
         projector_vignetting: the projector's loss at the far corner, see ProjectorOptions.
@@ -30,6 +30,7 @@ class RenderOptions:
     """
 
     samples: int = 2
+    lattice: int = 1
     ambient: float = 0.02
     ambient_colour: tuple[float, float, float] = (1.0, 0.95, 0.85)
     projector_vignetting: float = 0.15
@@ -89,14 +90,19 @@ class Renderer:
     def __init__(self, caster: RayCaster, camera: CameraModel, light: LightSource, options: RenderOptions) -> None:
         self.caster, self.camera, self.light, self.options = caster, camera, light, options
         width, height, samples = camera.width, camera.height, options.samples
-        u, v = np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1))
-        self._node_rays = camera.rays(np.stack([u, v], -1).reshape(-1, 2)).astype(np.float32)
+        step = options.lattice
+        self._shape = (-(-(height + 1) // step) + 1, -(-(width + 1) // step) + 1)
+        u, v = np.meshgrid(-1.0 + step * np.arange(self._shape[1]), -1.0 + step * np.arange(self._shape[0]))
+        rays = camera.rays(np.stack([u, v], -1).reshape(-1, 2))
+        self._node_rays = np.where(np.isfinite(rays), rays, [0.0, 0.0, -1.0]).astype(np.float32)
         self._node_buffers = _Shaded.empty(len(self._node_rays))
-        k = (np.arange(max(width, height) * samples) + 0.5) / samples - 0.5
-        self._cell = (np.floor(k).astype(np.int32) + 1).astype(np.int32)
-        self._fraction = (k - np.floor(k)).astype(np.float32)
-        self._part = np.round((self._fraction - self._fraction.min()) * samples).astype(np.int32)
-        self._parts = np.sort(self._fraction[:samples])
+        k = ((np.arange(max(width, height) * samples) + 0.5) / samples + 0.5) / step
+        self._cell = np.floor(k).astype(np.int32)
+        self._fraction = (k - self._cell).astype(np.float32)
+        across = step * samples  # sub-pixels across a cell
+        self._parts = np.sort(self._fraction[:across])
+        self._part = np.round((self._fraction - self._parts[0]) * across).astype(np.int32)
+        self._receiver_step = max(1, interreflection.SPACING // step)
         self._key: tuple | None = None
         self._view: _View | None = None
 
@@ -135,7 +141,8 @@ class Renderer:
         image = np.empty((self.camera.height, self.camera.width, 3), np.float32)
         kernels.gather(
             light, float(LIGHT_SCALE), view.nodes.uv, view.nodes.gain, sky, view.slot_of_cell,
-            view.fine.uv, view.fine.gain, fine_sky, self._cell, self._fraction, self._part, self.options.samples, image,
+            view.fine.uv, view.fine.gain, fine_sky, self._cell, self._fraction, self._part, self.options.samples,
+            len(self._parts), image,
         )  # fmt: skip
         return image
 
@@ -151,7 +158,7 @@ class Renderer:
         for part, rows, cols in ((view.nodes, node_rows, node_cols), (view.fine, fine_rows, fine_cols)):
             sky = part.sky.copy()
             interreflection.fill_up(
-                coarse, view.transfer.points, view.transfer.normals, view.transfer.body, interreflection.STEP, rows.ravel(),
+                coarse, view.transfer.points, view.transfer.normals, view.transfer.body, self._receiver_step, rows.ravel(),
                 cols.ravel(), part.points.reshape(-1, 3), part.normals.reshape(-1, 3), part.albedo.reshape(-1, 3),
                 part.body.ravel(), sky.reshape(-1, 3),
             )  # fmt: skip
@@ -161,24 +168,24 @@ class Renderer:
     def _trace(
         self, base_from_camera: np.ndarray, occluders: Occluders, lens_point: tuple[float, float], focus: float
     ) -> _View:
-        shape = (self.camera.height + 2, self.camera.width + 2)
+        shape, step = self._shape, self.options.lattice
         nodes = self._shade(self._node_rays, base_from_camera, occluders, lens_point, focus, self._node_buffers)
         nodes = _Shaded(*(a.reshape(*shape, *a.shape[1:]) for a in vars(nodes).values()))
         uneven = np.empty((shape[0] - 1, shape[1] - 1), np.uint8)
-        kernels.uneven_cells(nodes.points, nodes.normals, nodes.body, nodes.flags, 1.0 / self.camera.matrix[0, 0], uneven)
+        kernels.uneven_cells(nodes.points, nodes.normals, nodes.albedo, nodes.body, nodes.flags, uneven)
         slot_of_cell = np.full(uneven.shape, -1, np.int32)
         rows, cols = np.nonzero(uneven)
         slot_of_cell[rows, cols] = np.arange(len(rows), dtype=np.int32)
         dv, du = np.meshgrid(self._parts, self._parts, indexing="ij")
-        pixels = np.stack([(cols[:, None] - 1 + du.ravel()), (rows[:, None] - 1 + dv.ravel())], -1)
+        pixels = step * np.stack([cols[:, None] + du.ravel(), rows[:, None] + dv.ravel()], -1) - 1.0
         rays = self.camera.rays(pixels.reshape(-1, 2))
         fine = self._shade(rays, base_from_camera, occluders, lens_point, focus, _Shaded.empty(len(rays)))
-        fine = _Shaded(*(a.reshape(len(rows), self.options.samples**2, *a.shape[1:]) for a in vars(fine).values()))
+        fine = _Shaded(*(a.reshape(len(rows), len(self._parts) ** 2, *a.shape[1:]) for a in vars(fine).values()))
         moved = None
         if self.options.interreflection:
             moved = interreflection.transfer(
                 self.caster, self.light.model, self.light.base_from_projector, self.options.projector_vignetting,
-                nodes.points, nodes.normals, nodes.body,
+                nodes.points, nodes.normals, nodes.body, self._receiver_step,
             )  # fmt: skip
         return _View(nodes, slot_of_cell, fine, moved)
 
