@@ -5,7 +5,7 @@ The worker builds the same cell from the same settings and renders one exposure 
 
 import multiprocessing
 import signal
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -61,8 +61,7 @@ class CameraSimulation:
 
     def __init__(self, cell: Cell, effects: Effects, *, self_shadow: bool = True) -> None:
         self._cell, self._effects = cell, effects
-        options = replace(effects.render, projector_vignetting=effects.projector.vignetting)
-        self._renderer = Renderer(cell.caster, cell.camera, cell.light_source, options)
+        self._renderer = Renderer(cell.caster, cell.camera, cell.light_source, effects.render_options)
         self._falloff = sensor.lens_falloff(cell.camera, effects.sensor.vignetting)
         self._body = ArmBody(cell.flange_from_camera) if self_shadow else None
         self._rng = np.random.default_rng([cell.settings.seed, 17])

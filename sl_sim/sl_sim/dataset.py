@@ -164,8 +164,7 @@ def render_shot(
             break
     else:
         raise NoViewError(f"no view of scene '{scene}' (seed {seed}) shows {LEAST_SPOTS} spots; use another seed")
-    render = replace(chosen.render, projector_vignetting=chosen.projector.vignetting)
-    renderer = Renderer(caster, camera_model, LightSource(projector, base_from_projector), render)
+    renderer = Renderer(caster, camera_model, LightSource(projector, base_from_projector), chosen.render_options)
     light = light_image(np.ascontiguousarray(pattern.render()[..., ::-1]), chosen.projector)
     reach = float(np.nanmedian(np.linalg.norm(truth.xyz[truth.visible] - base_from_camera[:3, 3], axis=1)))
     radiance = exposed_radiance(renderer, light, base_from_camera, chosen, reach)

@@ -1,6 +1,6 @@
 """Named sets of effects: what light, lens, sensor and transport do to an image."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,11 @@ class Effects:
     twist: tuple[float, ...] = (0.0,) * 6
     aperture: float = 0.0
     focus: float = 1.0
+
+    @property
+    def render_options(self) -> RenderOptions:
+        """`render` with the projector's vignetting."""
+        return replace(self.render, projector_vignetting=self.projector.vignetting)
 
 
 def _named() -> dict[str, Effects]:

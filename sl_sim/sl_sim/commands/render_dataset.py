@@ -1,36 +1,18 @@
 """Render single-shot images of random scenes with exact truth."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 from tqdm import tqdm
 
 from pattern_gen import Pattern, default_pattern
 from sl_common.errors import StructuredLightError
-from sl_common.files import atomic_path
 from sl_sim import scenes
-from sl_sim.dataset import CAMERAS, Shot, render_shot
+from sl_sim.dataset import CAMERAS, render_shot
+from sl_sim.dataset_files import refuse_used, write_image, write_truth
 from sl_sim.effects import EFFECTS
-
-
-def write_shot(folder: Path, shot: Shot) -> None:
-    """Write images/NAME.png, truth/NAME.npz and truth/NAME.json."""
-    for part in ("images", "truth"):
-        (folder / part).mkdir(parents=True, exist_ok=True)
-    ok, png = cv2.imencode(".png", shot.image)
-    if not ok:
-        raise StructuredLightError(f"cannot encode image {shot.name} of shape {shot.image.shape}")
-    with atomic_path(folder / "truth" / f"{shot.name}.npz") as path:
-        with path.open("wb") as file:
-            np.savez_compressed(file, **shot.arrays)
-    with atomic_path(folder / "truth" / f"{shot.name}.json") as path:
-        path.write_text(json.dumps(shot.meta, indent=1))
-    with atomic_path(folder / "images" / f"{shot.name}.png") as path:
-        path.write_bytes(png.tobytes())
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -72,8 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
         effects = _choice(args.effects, tuple(EFFECTS), "effects")
         cameras = _choice(args.cameras, CAMERAS, "cameras")
         pattern = Pattern.load(args.pattern) if args.pattern else default_pattern()
-        if any((args.output / "images").glob("*.png")):
-            raise StructuredLightError(f"{args.output} already holds images: choose a new folder")
+        refuse_used(args.output)
         args.output.mkdir(parents=True, exist_ok=True)
         pattern.save(args.output / "pattern.yaml")
         for k in tqdm(range(args.count), unit="image", disable=not sys.stderr.isatty()):
@@ -88,7 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
                 distance=(args.near, args.far),
                 oblique=args.oblique,
             )
-            write_shot(args.output, shot)
+            write_truth(args.output, shot.name, shot.arrays, shot.meta)
+            write_image(args.output, shot.name, shot.image)
     except (StructuredLightError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
