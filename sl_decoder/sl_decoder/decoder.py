@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pattern_gen import Pattern
 
 from sl_common.errors import StructuredLightError
-from sl_decoder import centres, graph, growth, letters, placement, segmentation
+from sl_decoder import centres, graph, growth, judgement, letters, placement, segmentation
 from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
 from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
@@ -59,7 +59,8 @@ class Decoder:
         segments = segmentation.segment(bgr, kernel)
         dots = centres.measure(segments)
         decoded = self._read(dots, start)
-        return decoded
+        self.ev = decoded[1] if isinstance(decoded, tuple) else None
+        return decoded[0] if isinstance(decoded, tuple) else decoded
 
     def _read(self, dots: centres.Dots, start: float) -> Decoded:
         book = self.codebook
@@ -81,7 +82,10 @@ class Decoder:
         claim = np.full(book.letters.shape, -1, np.int32)
         belief = np.empty(claim.shape, np.float32)
         own = np.zeros(claim.shape, np.float32)
-        residual = np.empty(claim.shape, np.float32)
+        ev_letter = np.zeros(claim.shape, np.float32)
+        ev_error = np.zeros(claim.shape, np.float32)
+        ev_size = np.zeros(claim.shape, np.float32)
+        ev_kind = np.full(claim.shape, 3, np.int8)
         holder_u = np.full(n, -1, np.int32)
         holder_v = np.full(n, -1, np.int32)
         trials = np.log(len(book.codes) * float(n))
@@ -103,14 +107,21 @@ class Decoder:
                                           first_evidence, 14.0, 1.5, claim, holder_u, holder_v)
             if not accepted:
                 break
-            growth.grow(claim, holder_v, holder_u, centre, near, log_p, book.letters, lattice.steps, growth.REACH, -1.0)
-            for _ in range(2):
-                growth.judge(claim, centre, log_p, book.letters, lattice.steps, lattice.window, 0.05,
-                             growth.COUPLING, growth.SWEEPS, belief, own, residual)
-                bad = (claim >= 0) & (belief < max(least, 2.0))
-                holder_v[claim[bad]] = -1
-                holder_u[claim[bad]] = -1
-                claim[bad] = -1
+            banned_u = np.full(n, -1, np.int32)
+            banned_v = np.full(n, -1, np.int32)
+            limit = max(least, 2.0)
+            for round_ in range(4):
+                added = growth.grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, book.letters,
+                                    lattice.steps, growth.REACH)
+                if round_ and not added:
+                    break
+                for _ in range(12):
+                    judgement.gather(claim, centre, dots.area, log_p, book.letters, lattice.steps, ev_letter, ev_error,
+                                     ev_kind, ev_size)
+                    judgement.own_evidence(claim, ev_letter, ev_error, ev_kind, ev_size, own)
+                    judgement.solve(claim, own, lattice.window, belief)
+                    if not judgement.release_worst(claim, belief, limit, holder_u, holder_v, banned_u, banned_v):
+                        break
             held = holder_v >= 0
             if turn == 0 and held.any():
                 known = np.where(held, book.letters[np.maximum(holder_v, 0), np.maximum(holder_u, 0)], letter).astype(np.int32)
@@ -139,11 +150,11 @@ class Decoder:
             track_id=np.full(len(ids), -1, np.int32),
             blobs=n,
             labelled=int((at >= 0).sum()),
-            inconsistent=int(conflicts.sum()),
-            rejected=int(n - len(ids) - conflicts.sum()),
+            inconsistent=int((reason == Reason.INCONSISTENT).sum()),
+            rejected=int(((reason != Reason.DECODED) & (reason != Reason.INCONSISTENT)).sum()),
             decode_time=time.perf_counter() - start,
             inspection=Inspection(centre, letter, links, reason),
-        )
+        ), dict(letter=ev_letter[map_v, map_u], error=ev_error[map_v, map_u], kind=ev_kind[map_v, map_u], size=ev_size[map_v, map_u], belief=b)
 
 
 def check_image(bgr: NDArray[np.uint8]) -> None:

@@ -1,9 +1,8 @@
-"""Growth over the map: dots next to decoded ones are predicted, looked for, verified; outliers are cut out again.
+"""Growth over the map: dots next to decoded ones are predicted, looked for and claimed.
 
-Works on the map's own lattice: claim[v, u] is the dot that holds an element of the map. A free element next to held ones is
-predicted from them (interpolation between opposite neighbours, parallelograms, continued lines); the nearest free dot is
-taken when it fits in position and letter. Then every held dot is judged by its letter, by its distance from the position
-that its neighbours predict, and by its neighbours' fate (mean field); what fails is released, undecoded.
+Works on the map's own lattice: claim[v, u] is the dot that holds an element of the map, -1 none. A free element next to held
+ones is predicted from them; the nearest free dot is claimed when it fits in place and letter. What was claimed is judged
+afterwards (judgement.py), together with its neighbours.
 """
 
 from __future__ import annotations
@@ -12,168 +11,206 @@ import numpy as np
 from numba import njit
 
 REACH = 0.35  # a dot is looked for this far from its prediction, in lattice units
-COUPLING = 0.7
-SWEEPS = 5
+LETTER_WEIGHT = 0.05  # lattice units that a fitting letter is worth (per log-odds) when two dots compete
+
+FULL, INTERPOLATED, EXTRAPOLATED, UNPREDICTED = 0, 1, 2, 3
 
 
-@njit(cache=True, boundscheck=False, inline="always")
-def _inside(v, u, rows, cols):  # type: ignore[no-untyped-def]
-    return 0 <= v < rows and 0 <= u < cols
-
-
-@njit(cache=True, boundscheck=False)
+@njit(cache=True, fastmath=True)
 def predict(claim, centre, v, u, steps):  # type: ignore[no-untyped-def]
-    """Position of map element (u, v) from its held neighbours.
+    """Position of map element (u, v) from the held elements around it.
 
-    Returns x, y, weight (0: no prediction), ax, ay, bx, by: the local lattice basis [px] (zero where unknown).
+    With its whole ring: the biharmonic mean, exact on cubic surfaces. Else the mean of what there is: parallelograms at
+    its corners, midpoints of opposite neighbours, lines continued (quadratically from three points, linearly from two).
+    Returns x, y [px], kind (FULL, INTERPOLATED, EXTRAPOLATED, UNPREDICTED), and the local basis ax, ay, bx, by [px].
     """
     rows, cols = claim.shape
     directions = len(steps)
     half = directions // 2
-    sx = sy = sw = 0.0
-    ax = ay = bx = by = 0.0
-    na = 0
-    nb = 0
+    hx = np.empty(6, np.float32)
+    hy = np.empty(6, np.float32)
+    held = np.zeros(6, np.bool_)
+    dx = np.empty(6, np.float32)
+    dy = np.empty(6, np.float32)
+    diagonal = np.zeros(6, np.bool_)
+    n_held = 0
+    n_diagonal = 0
     for d in range(directions):
         v1, u1 = v + steps[d, 1], u + steps[d, 0]
-        if not _inside(v1, u1, rows, cols) or claim[v1, u1] < 0:
-            continue
-        p = claim[v1, u1]
-        # opposite neighbour: interpolation
-        if d < half:
-            v2, u2 = v - steps[d, 1], u - steps[d, 0]
-            if _inside(v2, u2, rows, cols) and claim[v2, u2] >= 0:
-                q = claim[v2, u2]
-                sx += 2.0 * (centre[p, 0] + centre[q, 0])
-                sy += 2.0 * (centre[p, 1] + centre[q, 1])
-                sw += 4.0
-        # the line through two beyond
-        v2, u2 = v1 + steps[d, 1], u1 + steps[d, 0]
-        if _inside(v2, u2, rows, cols) and claim[v2, u2] >= 0:
-            q = claim[v2, u2]
-            lx, ly = centre[q, 0] - centre[p, 0], centre[q, 1] - centre[p, 1]
-            v3, u3 = v2 + steps[d, 1], u2 + steps[d, 0]
-            if _inside(v3, u3, rows, cols) and claim[v3, u3] >= 0:
-                # quadratic continuation
-                r = claim[v3, u3]
-                sx += 0.5 * (3.0 * centre[p, 0] - 3.0 * centre[q, 0] + centre[r, 0])
-                sy += 0.5 * (3.0 * centre[p, 1] - 3.0 * centre[q, 1] + centre[r, 1])
-                sw += 0.5
-            sx += 0.5 * (centre[p, 0] - lx)
-            sy += 0.5 * (centre[p, 1] - ly)
-            sw += 0.5
-            s = 1.0 if d < half else -1.0
-            if d % half == 0:
-                ax += s * lx
-                ay += s * ly
-                na += 1
-            elif d % half == 1:
-                bx += s * lx
-                by += s * ly
-                nb += 1
-        # parallelogram with the next direction (square) or the rhombus of the hexagonal grid
+        if 0 <= v1 < rows and 0 <= u1 < cols and claim[v1, u1] >= 0:
+            p = claim[v1, u1]
+            hx[d] = centre[p, 0]
+            hy[d] = centre[p, 1]
+            held[d] = True
+            n_held += 1
         e = (d + 1) % directions
-        vb, ub = v + steps[e, 1], u + steps[e, 0]
-        vc, uc = v1 + steps[e, 1], u1 + steps[e, 0]
-        if _inside(vb, ub, rows, cols) and claim[vb, ub] >= 0 and _inside(vc, uc, rows, cols) and claim[vc, uc] >= 0:
-            q, r = claim[vb, ub], claim[vc, uc]
-            sx += centre[p, 0] + centre[q, 0] - centre[r, 0]
-            sy += centre[p, 1] + centre[q, 1] - centre[r, 1]
-            sw += 1.0
-        # sides parallel to the basis
-        if _inside(vc, uc, rows, cols) and claim[vc, uc] >= 0:
-            r = claim[vc, uc]
-            lx, ly = centre[r, 0] - centre[p, 0], centre[r, 1] - centre[p, 1]
-            s = 1.0 if e < half else -1.0
+        v2, u2 = v1 + steps[e, 1], u1 + steps[e, 0]
+        if 0 <= v2 < rows and 0 <= u2 < cols and claim[v2, u2] >= 0:
+            p = claim[v2, u2]
+            dx[d] = centre[p, 0]
+            dy[d] = centre[p, 1]
+            diagonal[d] = True
+            n_diagonal += 1
+    zero = np.float32(0)
+    ax = ay = bx = by = zero
+    na = nb = 0
+    sx = sy = sw = zero
+    pairs = 0
+    for d in range(directions):
+        e = (d + 1) % directions
+        if held[d] and diagonal[d]:
+            # the side of the cell from neighbour d to the corner runs along direction e
+            s = np.float32(1.0) if e < half else np.float32(-1.0)
             if e % half == 0:
-                ax += s * lx
-                ay += s * ly
+                ax += s * (dx[d] - hx[d])
+                ay += s * (dy[d] - hy[d])
                 na += 1
             elif e % half == 1:
-                bx += s * lx
-                by += s * ly
+                bx += s * (dx[d] - hx[d])
+                by += s * (dy[d] - hy[d])
                 nb += 1
-        f = (d + directions - 1) % directions
-        vc, uc = v1 + steps[f, 1], u1 + steps[f, 0]
-        if _inside(vc, uc, rows, cols) and claim[vc, uc] >= 0:
-            r = claim[vc, uc]
-            lx, ly = centre[r, 0] - centre[p, 0], centre[r, 1] - centre[p, 1]
-            s = 1.0 if f < half else -1.0
-            if f % half == 0:
-                ax += s * lx
-                ay += s * ly
+            if held[e]:
+                sx += hx[d] + hx[e] - dx[d]
+                sy += hy[d] + hy[e] - dy[d]
+                sw += 1
+        if held[e] and diagonal[d]:
+            s = np.float32(1.0) if d < half else np.float32(-1.0)
+            if d % half == 0:
+                ax += s * (dx[d] - hx[e])
+                ay += s * (dy[d] - hy[e])
                 na += 1
-            elif f % half == 1:
-                bx += s * lx
-                by += s * ly
+            elif d % half == 1:
+                bx += s * (dx[d] - hx[e])
+                by += s * (dy[d] - hy[e])
                 nb += 1
-    if sw == 0.0 or na == 0 or nb == 0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return sx / sw, sy / sw, sw, ax / na, ay / na, bx / nb, by / nb
+        if d < half and held[d] and held[d + half]:
+            pairs += 1
+            sx += np.float32(0.5) * (hx[d] + hx[d + half])
+            sy += np.float32(0.5) * (hy[d] + hy[d + half])
+            sw += 1
+            if d == 0:
+                ax += hx[0] - hx[half]
+                ay += hy[0] - hy[half]
+                na += 2
+            elif d == 1:
+                bx += hx[1] - hx[1 + half]
+                by += hy[1] - hy[1 + half]
+                nb += 2
+    if n_held == directions and (n_diagonal == directions or directions == 6):
+        x = y = zero
+        for d in range(directions):
+            x += hx[d]
+            y += hy[d]
+        if directions == 4:
+            for d in range(4):
+                x -= np.float32(0.5) * dx[d]
+                y -= np.float32(0.5) * dy[d]
+            x *= np.float32(0.5)
+            y *= np.float32(0.5)
+        else:
+            x /= 6
+            y /= 6
+        return x, y, FULL, ax / na, ay / na, bx / nb, by / nb
+    for d in range(directions):
+        if not held[d] or (held[(d + half) % directions]):
+            continue
+        v2, u2 = v + 2 * steps[d, 1], u + 2 * steps[d, 0]
+        if not (0 <= v2 < rows and 0 <= u2 < cols) or claim[v2, u2] < 0:
+            continue
+        q = claim[v2, u2]
+        lx = centre[q, 0] - hx[d]
+        ly = centre[q, 1] - hy[d]
+        s = np.float32(1.0) if d < half else np.float32(-1.0)
+        if d % half == 0:
+            ax += s * lx
+            ay += s * ly
+            na += 1
+        elif d % half == 1:
+            bx += s * lx
+            by += s * ly
+            nb += 1
+        v3, u3 = v2 + steps[d, 1], u2 + steps[d, 0]
+        if 0 <= v3 < rows and 0 <= u3 < cols and claim[v3, u3] >= 0:
+            r = claim[v3, u3]
+            sx += 3 * hx[d] - 3 * centre[q, 0] + centre[r, 0]
+            sy += 3 * hy[d] - 3 * centre[q, 1] + centre[r, 1]
+            sw += 1
+        else:
+            sx += np.float32(0.5) * (hx[d] - lx)
+            sy += np.float32(0.5) * (hy[d] - ly)
+            sw += np.float32(0.5)
+    if sw == 0 or na == 0 or nb == 0:
+        return zero, zero, UNPREDICTED, zero, zero, zero, zero
+    kind = INTERPOLATED if pairs > 0 else EXTRAPOLATED
+    return sx / sw, sy / sw, kind, ax / na, ay / na, bx / nb, by / nb
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True, inline="always")
 def lattice_error(ex, ey, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Length of an image vector in units of the lattice basis (a, b), inf for a degenerate basis."""
+    """Length of an image vector in units of the lattice basis (a, b), inf for a degenerate or mirrored basis."""
     det = ax * by - ay * bx
     if det <= 1e-3:
-        return np.inf
+        return np.float32(np.inf)
     s = (ex * by - ey * bx) / det
     t = (ax * ey - ay * ex) / det
-    return np.sqrt(s * s + t * t)
+    return np.float32(np.sqrt(s * s + t * t))
 
 
-@njit(cache=True, boundscheck=False)
-def grow(claim, holder_v, holder_u, centre, near, log_p, map_letters, steps, reach, least):  # type: ignore[no-untyped-def]
-    """Claim free dots around the held ones until nothing fits any more; returns how many were added."""
+@njit(cache=True)
+def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map_letters, steps, reach):  # type: ignore[no-untyped-def]
+    """Claim free dots around the held ones until nothing fits any more; returns how many were added.
+
+    banned (N,): an element that a dot may not hold again, because it was judged wrong there.
+    """
     rows, cols = claim.shape
     directions = len(steps)
     log_a = np.log(float(log_p.shape[1]))
-    queue_v = np.empty(rows * cols * 4, np.int32)
-    queue_u = np.empty(rows * cols * 4, np.int32)
+    queue_v = np.empty(rows * cols * 3, np.int32)
+    queue_u = np.empty(rows * cols * 3, np.int32)
+    waiting = np.zeros((rows, cols), np.bool_)
     tail = 0
     for v in range(rows):
         for u in range(cols):
-            if claim[v, u] < 0:
+            if claim[v, u] >= 0 or map_letters[v, u] < 0:
                 continue
             for d in range(directions):
                 vv, uu = v + steps[d, 1], u + steps[d, 0]
-                if _inside(vv, uu, rows, cols) and claim[vv, uu] < 0 and map_letters[vv, uu] >= 0 and tail < len(queue_v):
-                    queue_v[tail] = vv
-                    queue_u[tail] = uu
+                if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
+                    queue_v[tail] = v
+                    queue_u[tail] = u
+                    waiting[v, u] = True
                     tail += 1
+                    break
     head = 0
     added = 0
     while head < tail:
         v, u = queue_v[head], queue_u[head]
         head += 1
-        if claim[v, u] >= 0:
-            continue
-        x, y, w, ax, ay, bx, by = predict(claim, centre, v, u, steps)
-        if w == 0.0:
+        waiting[v, u] = False
+        x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+        if kind == UNPREDICTED:
             continue
         best = reach
         to = -1
         for d in range(directions):
             vv, uu = v + steps[d, 1], u + steps[d, 0]
-            if not _inside(vv, uu, rows, cols) or claim[vv, uu] < 0:
+            if not (0 <= vv < rows and 0 <= uu < cols) or claim[vv, uu] < 0:
                 continue
             p = claim[vv, uu]
             for m in range(near.shape[1]):
                 j = near[p, m]
                 if j < 0:
                     break
-                if holder_v[j] >= 0:
+                if holder_v[j] >= 0 or (banned_u[j] == u and banned_v[j] == v):
                     continue
                 e = lattice_error(centre[j, 0] - x, centre[j, 1] - y, ax, ay, bx, by)
-                # a fitting letter outweighs a little distance
-                e -= 0.05 * max(-2.0, log_p[j, map_letters[v, u]] + log_a)
+                if e >= reach:
+                    continue
+                e -= LETTER_WEIGHT * max(-2.0, log_p[j, map_letters[v, u]] + log_a)
                 if e < best:
                     best = e
                     to = j
-        if to < 0:
-            continue
-        if log_p[to, map_letters[v, u]] + log_a < least and w < 6.0:
+        if to < 0 or (kind == EXTRAPOLATED and log_p[to, map_letters[v, u]] + log_a < -1.0):
             continue
         claim[v, u] = to
         holder_v[to] = v
@@ -181,48 +218,10 @@ def grow(claim, holder_v, holder_u, centre, near, log_p, map_letters, steps, rea
         added += 1
         for d in range(directions):
             vv, uu = v + steps[d, 1], u + steps[d, 0]
-            if _inside(vv, uu, rows, cols) and claim[vv, uu] < 0 and map_letters[vv, uu] >= 0 and tail < len(queue_v):
+            if (0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] < 0 and map_letters[vv, uu] >= 0
+                    and not waiting[vv, uu] and tail < len(queue_v)):
                 queue_v[tail] = vv
                 queue_u[tail] = uu
+                waiting[vv, uu] = True
                 tail += 1
     return added
-
-
-@njit(cache=True, boundscheck=False)
-def judge(claim, centre, log_p, map_letters, steps, window, sigma, coupling, sweeps, belief, own, residual):  # type: ignore[no-untyped-def]
-    """Log-odds (V, U) that each held dot is right: letter, position residual [lattice units], neighbours."""
-    rows, cols = claim.shape
-    log_a = np.log(float(log_p.shape[1]))
-    q = np.zeros((rows, cols), np.float32)
-    for v in range(rows):
-        for u in range(cols):
-            i = claim[v, u]
-            belief[v, u] = -20.0
-            residual[v, u] = np.nan
-            if i < 0:
-                continue
-            x, y, w, ax, ay, bx, by = predict(claim, centre, v, u, steps)
-            letter = log_p[i, map_letters[v, u]] + log_a
-            if w > 0.0:
-                e = lattice_error(centre[i, 0] - x, centre[i, 1] - y, ax, ay, bx, by)
-                residual[v, u] = e
-                # the prediction itself is less certain where it extrapolates
-                s = sigma * (1.0 if w >= 4.0 else 2.0)
-                fit = np.exp(-0.5 * (e / s) ** 2) * 0.97 + 0.03 * np.exp(-e / 0.2)
-                position = max(-4.0, min(3.0, np.log(fit / (2.0 * np.pi * s * s) + 1e-6)))
-            else:
-                position = -1.0
-            own[v, u] = letter + position
-            q[v, u] = np.tanh(0.5 * max(-4.0, min(4.0, own[v, u])))
-    for _ in range(sweeps):
-        for v in range(rows):
-            for u in range(cols):
-                if claim[v, u] < 0:
-                    continue
-                total = 0.0
-                for p in range(1, len(window)):
-                    vv, uu = v + window[p, 1], u + window[p, 0]
-                    if _inside(vv, uu, rows, cols) and claim[vv, uu] >= 0:
-                        total += q[vv, uu]
-                belief[v, u] = own[v, u] + coupling * total
-                q[v, u] = np.tanh(0.5 * belief[v, u])

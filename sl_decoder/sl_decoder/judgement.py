@@ -1,0 +1,139 @@
+"""Judgement of claimed dots: letter, place, size and neighbours, added up to the log-odds of being right.
+
+Each piece of evidence is a log-likelihood ratio between "the dot is this element" and "it is something else that happened
+to lie here" (another surface across a depth edge, a highlight, half a dot at an edge). Support of the neighbours counts
+along the axes through the dot: between two sound neighbours a dot is almost surely right, beyond the last sound one it has
+to convince by itself. Beliefs and support are iterated (mean field).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sl_decoder.growth import FULL, INTERPOLATED, UNPREDICTED, lattice_error, predict
+
+PAIR = 1.2  # support of two sound neighbours on opposite sides
+SINGLE = 0.3  # support of one sound neighbour
+SWEEPS = 6
+
+
+@njit(cache=True, fastmath=True)
+def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_of, size):  # type: ignore[no-untyped-def]
+    """Evidence of all held elements, each (V, U): letter log-likelihood ratio, position error [lattice units], kind of
+    prediction, size: log of the core's area per lattice cell, relative to the neighbours'."""
+    rows, cols = claim.shape
+    log_a = np.float32(np.log(float(log_p.shape[1])))
+    absolute = np.empty((rows, cols), np.float32)
+    for v in range(rows):
+        for u in range(cols):
+            i = claim[v, u]
+            if i < 0:
+                continue
+            x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+            letter[v, u] = log_p[i, map_letters[v, u]] + log_a
+            kind_of[v, u] = kind
+            absolute[v, u] = np.float32(np.nan)
+            error[v, u] = np.float32(1.0)
+            if kind != UNPREDICTED:
+                error[v, u] = min(lattice_error(centre[i, 0] - x, centre[i, 1] - y, ax, ay, bx, by), np.float32(1.0))
+                det = ax * by - ay * bx
+                if det > 0:
+                    absolute[v, u] = np.log(area[i] / det)
+    for v in range(rows):
+        for u in range(cols):
+            if claim[v, u] < 0:
+                continue
+            total = np.float32(0)
+            n = 0
+            for vv in range(max(0, v - 1), min(rows, v + 2)):
+                for uu in range(max(0, u - 1), min(cols, u + 2)):
+                    if claim[vv, uu] >= 0 and (vv != v or uu != u) and absolute[vv, uu] == absolute[vv, uu]:
+                        total += absolute[vv, uu]
+                        n += 1
+            size[v, u] = absolute[v, u] - total / n if n > 0 and absolute[v, u] == absolute[v, u] else np.float32(0)
+
+
+@njit(cache=True, fastmath=True)
+def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-untyped-def]
+    """Log-odds (V, U) of each held element by itself."""
+    rows, cols = claim.shape
+    for v in range(rows):
+        for u in range(cols):
+            if claim[v, u] < 0:
+                continue
+            kind = kind_of[v, u]
+            if kind == UNPREDICTED:
+                place = -2.0
+            else:
+                narrow = 0.04 if kind == FULL else (0.06 if kind == INTERPOLATED else 0.08)
+                e = error[v, u]
+                density = (0.7 * np.exp(-0.5 * (e / narrow) ** 2) / (6.283 * narrow * narrow)
+                           + 0.3 * np.exp(-0.5 * (e / 0.15) ** 2) / (6.283 * 0.15 * 0.15))
+                place = min(2.5, max(-4.0, np.log(density + 0.01)))
+            s = abs(size[v, u])
+            own[v, u] = letter[v, u] + place - 2.0 * max(0.0, s - 0.35)
+
+
+@njit(cache=True)
+def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):  # type: ignore[no-untyped-def]
+    """Release held elements below `least` that are the worst among their neighbours; returns how many.
+
+    Only the worst: a wrong dot spoils the predictions around it, and its neighbours deserve another judgement without it.
+    """
+    rows, cols = claim.shape
+    released = 0
+    doomed = np.zeros((rows, cols), np.bool_)
+    for v in range(rows):
+        for u in range(cols):
+            if claim[v, u] < 0 or belief[v, u] >= least:
+                continue
+            worst = True
+            for vv in range(max(0, v - 1), min(rows, v + 2)):
+                for uu in range(max(0, u - 1), min(cols, u + 2)):
+                    if claim[vv, uu] >= 0 and belief[vv, uu] < belief[v, u]:
+                        worst = False
+            doomed[v, u] = worst
+    for v in range(rows):
+        for u in range(cols):
+            if doomed[v, u]:
+                i = claim[v, u]
+                banned_u[i] = u
+                banned_v[i] = v
+                holder_u[i] = -1
+                holder_v[i] = -1
+                claim[v, u] = -1
+                released += 1
+    return released
+
+
+@njit(cache=True, fastmath=True)
+def solve(claim, own, window, belief):  # type: ignore[no-untyped-def]
+    """Beliefs (V, U): log-odds that each held element is right, own evidence and neighbours'; -20 where none is held."""
+    rows, cols = claim.shape
+    q = np.zeros((rows, cols), np.float32)
+    half = (len(window) - 1) // 2
+    for v in range(rows):
+        for u in range(cols):
+            belief[v, u] = -20.0
+            if claim[v, u] >= 0:
+                q[v, u] = np.tanh(0.5 * max(-4.0, min(4.0, own[v, u])))
+    for _ in range(SWEEPS):
+        for v in range(rows):
+            for u in range(cols):
+                if claim[v, u] < 0:
+                    continue
+                total = np.float32(0)
+                for p in range(1, half + 1):
+                    v1, u1 = v + window[p, 1], u + window[p, 0]
+                    v2, u2 = v - window[p, 1], u - window[p, 0]
+                    one = 0 <= v1 < rows and 0 <= u1 < cols and claim[v1, u1] >= 0
+                    two = 0 <= v2 < rows and 0 <= u2 < cols and claim[v2, u2] >= 0
+                    if one and two:
+                        total += np.float32(PAIR) * min(q[v1, u1], q[v2, u2])
+                    elif one:
+                        total += np.float32(SINGLE) * q[v1, u1]
+                    elif two:
+                        total += np.float32(SINGLE) * q[v2, u2]
+                belief[v, u] = own[v, u] + total
+                q[v, u] = np.tanh(np.float32(0.5) * belief[v, u])
