@@ -1,0 +1,1 @@
+"""The parts that know ROS: parameters, commands, status, the action."""

@@ -1,0 +1,84 @@
+"""The object as the clouds show it over time: a target per cloud, smoothed while it is followed."""
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_positioner.following import TargetFilter
+from arm_positioner.target import Target, TargetOptions, find_target
+from sl_common import transforms
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A cloud in the base frame.
+
+    Attributes:
+        time: When its image was taken [s].
+        points: (N, 3) in the base frame [m].
+        base_from_camera: (4, 4) camera pose at that time [m].
+        confidence: (N,) or None.
+        row: (N,) or None.
+        col: (N,) or None.
+    """
+
+    time: float
+    points: Array
+    base_from_camera: Array
+    confidence: NDArray | None = None
+    row: NDArray | None = None
+    col: NDArray | None = None
+
+
+class Sight:
+    """Finds the target in each cloud and keeps to the same object."""
+
+    def __init__(self, smoothing: TargetFilter | None = None) -> None:
+        self._filter = smoothing or TargetFilter()
+        self._lock = threading.Lock()
+        self._latest: Target | None = None
+
+    def reset(self) -> None:
+        """Forget the object: the next target is the nearest one again."""
+        with self._lock:
+            self._filter.reset()
+            self._latest = None
+
+    @property
+    def latest(self) -> Target | None:
+        """The target of the last cloud, unsmoothed."""
+        return self._latest
+
+    def look(self, sighting: Sighting, options: TargetOptions, *, anchor: Array | None = None) -> Target:
+        """Return the target in a cloud, as it is; see :func:`arm_positioner.target.find_target` for ``anchor`` and errors."""
+        with self._lock:
+            previous = self._latest
+        target = find_target(
+            sighting.points,
+            sighting.base_from_camera,
+            confidence=sighting.confidence,
+            row=sighting.row,
+            col=sighting.col,
+            options=options,
+            previous=None if previous is None else previous.surface.point,
+            anchor=anchor,
+        )
+        with self._lock:
+            self._latest = target
+            self._filter.update(sighting.time, target.base_from_camera)
+        return target
+
+    def expected(self, time: float) -> Array:
+        """Return the smoothed target pose (4, 4) expected at ``time`` [s]."""
+        with self._lock:
+            return self._filter.at(time)
+
+
+def nearly_equal(a: Array, b: Array, *, distance: float = 3e-4, angle: float = 2e-3) -> bool:
+    """Whether two poses (4, 4) differ by less than ``distance`` [m] and ``angle`` [rad]: not worth a motion."""
+    delta = transforms.difference(a, b)
+    return bool(np.linalg.norm(delta[:3]) < distance and np.linalg.norm(delta[3:]) < angle)

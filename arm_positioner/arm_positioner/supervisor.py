@@ -1,0 +1,431 @@
+"""The state machine that owns the stream: starts, watches and ends motions, always by a stop within the limits."""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from sl_common.kinematics import Kinematics
+
+from arm_positioner import watchdog
+from arm_positioner.errors import Code, InvalidGoalError, NotAtRestError, PausedError, PositionerError, StaleJointsError
+from arm_positioner.limits import JointLimits
+from arm_positioner.measurement import CommandHistory, MeasuredJoints
+from arm_positioner.planning import Planner, require_regular_motion
+from arm_positioner.singularity import SingularityWatch, condition_number
+from arm_positioner.stream import SetpointStream
+from arm_positioner.task import Kind, Outcome, Task
+from arm_positioner.trajectory import MotionState, Trajectory
+from arm_positioner.watchdog import WatchOptions
+from sl_common import transforms
+
+Array = NDArray[np.float64]
+
+_SPEED_STEP = 1.25
+"""Ratio by which the speed factor near a singularity has to change before the motion is planned anew."""
+
+
+class Supervisor:
+    """Runs one task at a time and brings the arm to rest whenever something is wrong.
+
+    All methods may be called from any thread. Times are of one monotonic clock [s]; stamps are converted to it.
+
+    Attributes:
+        flange_from_camera: (4, 4) hand-eye transform [m].
+        code: Status code.
+        message: One sentence with the numbers.
+    """
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        planner: Planner,
+        limits: JointLimits,
+        *,
+        period: float,
+        options: WatchOptions | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Use ``kinematics`` and ``planner`` (with another kinematics) exclusively; a setpoint every ``period`` [s]."""
+        self.options = options or WatchOptions()
+        self.flange_from_camera = transforms.identity()
+        self.code, self.message = Code.IDLE, "at rest, no target yet"
+        self._kinematics, self._planner = kinematics, planner
+        self._stream = SetpointStream(limits, period)
+        self._measured = MeasuredJoints(rest_motion=self.options.rest_motion)
+        self._commands = CommandHistory(self.options.driver_lag)
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._planning_lock = threading.Lock()
+        self._task: Task | None = None
+        self._ending: Outcome | None = None
+        self._paused = self._closed = False
+        self._settled: Array | None = None  # measured joints once the last motion had come to rest
+        self._last_setpoint: float | None = None
+        self._watch = SingularityWatch(self.options.thresholds)
+        self._speed = 1.0
+
+    def positions_from(self, names: Sequence[str], positions: Sequence[float]) -> Array:
+        """Return the arm's positions (n,) out of a joint state; see :meth:`Kinematics.positions_from`."""
+        return self._kinematics.positions_from(names, positions)
+
+    def joint_state(self, time: float, positions: Array) -> None:
+        """Take joint positions (n,) measured at ``time`` [s]."""
+        with self._lock:
+            self._measured.add(time, positions)
+
+    def begin(self, kind: Kind, target: Array, *, duration: float = 0.0, follow: bool = False) -> Task:
+        """Start moving the camera to ``target`` (4, 4 base_from_camera), replacing the task that runs.
+
+        Args:
+            kind: Where the target comes from.
+            target: Wanted camera pose [m].
+            duration: Least duration of the motion [s].
+            follow: Keep the task until it is cancelled; :meth:`retarget` moves its target.
+
+        Raises PositionerError, and nothing changes: no joint states, arm not at rest, paused, unreachable and so on.
+        """
+        if not (np.isfinite(duration) and duration >= 0):
+            raise InvalidGoalError(f"duration {duration:g} s must be zero or positive")
+        with self._planning_lock:
+            with self._lock:
+                self._require_ready()
+                self._ensure_started()
+                assert self._stream.state is not None
+                current = self._stream.state.position
+            solution, _ = self._planner.choose(
+                target, self.flange_from_camera, current, lambda q: self._preview(q, duration)
+            )
+            with self._lock:
+                self._require_ready()
+                motion = self._stream.move(solution.positions, duration=duration)
+                if self._task is not None:
+                    self._task.finish(Outcome(Code.STOPPED, "replaced by a new target"))
+                self._task = Task(kind, target, solution.positions, follow=follow, time=self._clock())
+                if kind is not Kind.SERVO:
+                    self._task.arrive_at = self._clock() + motion.duration
+                self._ending, self._speed = None, 1.0
+                self._watch = SingularityWatch(self.options.thresholds)
+                self._report_moving(self._task)
+                return self._task
+
+    def retarget(self, task: Task, target: Array) -> None:
+        """Move the target of a running task; where that fails the arm holds still until a target succeeds.
+
+        Does nothing for a task that has ended or is being ended.
+        """
+        with self._planning_lock:
+            with self._lock:
+                if task is not self._task or self._ending is not None or self._paused:
+                    return
+                task.target_time = self._clock()
+                goal = task.goal
+                if task.held is not None and not self._stream.is_moving:
+                    try:
+                        self._ensure_started()
+                    except PositionerError as error:
+                        self._end(Outcome(error.code, str(error)))
+                        return
+            try:
+                positions = self._planner.follow(target, self.flange_from_camera, goal).positions
+                with self._lock:
+                    if task is not self._task or self._ending is not None or self._paused:
+                        return
+                    self._stream.move(positions, duration=max(task.arrive_at - self._clock(), 0.0), speed=self._speed)
+                    task.goal, task.target, task.rest_since, task.held = positions, target, None, None
+                    self._report_moving(task)
+            except PositionerError as error:
+                with self._lock:
+                    if task is self._task:
+                        self._hold(task, Outcome(error.code, str(error)))
+
+    def confirm(self, task: Task) -> None:
+        """Note that the cloud still shows the object of a task whose target stays."""
+        with self._lock:
+            task.target_time = self._clock()
+            if task is self._task and task.held is not None and task.held.code is Code.LOST_CLOUD and not self._paused:
+                self._resume(task)
+
+    def cancel(self, task: Task, outcome: Outcome) -> None:
+        """End a task early: the arm comes to rest, then the task has its outcome."""
+        with self._lock:
+            if task is self._task:
+                self._end(outcome)
+
+    def pause(self, *, paused: bool) -> str:
+        """Bring the arm to rest and keep the task, or go on with it; returns what happens.
+
+        Raises PositionerError where the motion cannot go on; the task is then ended.
+        """
+        with self._lock:
+            if paused:
+                if self._ending is None:
+                    self._paused = True
+                    self._interrupt()
+                    self._report(Code.PAUSED, self._rest_message("paused by ~/pause"))
+                return self.message
+            if not self._paused:
+                return "not paused"
+            self._paused = False
+            if self._task is None:
+                self._report(Code.IDLE, "at rest, no target")
+                return "resumed, no target"
+            self._resume(self._task)
+            return self.message
+
+    def stop(self, reason: str = "stopped by ~/stop") -> str:
+        """Bring the arm to rest and end the task; returns what happens."""
+        with self._lock:
+            self._paused = False
+            self._end(Outcome(Code.STOPPED, reason))
+            return self.message
+
+    def close(self, reason: str = "stopped: the node shuts down") -> None:
+        """Stop and take no task any more."""
+        with self._lock:
+            self._closed = True
+            self.stop(reason)
+
+    def tick(self) -> MotionState | None:
+        """Advance by one control period and return the setpoint to send; None at rest."""
+        now = self._clock()
+        with self._lock:
+            if self._task is not None and self._ending is None and not self._paused:
+                self._check(self._task, now)
+            setpoint = self._stream.advance()
+            if setpoint is not None:
+                self._commands.add(now, setpoint.position)
+                self._last_setpoint, self._settled = now, None
+            if self._stream.fault and self._ending is None and self._task is not None:
+                self._end(Outcome(Code.INVALID_INPUT, f"setpoint held back: {self._stream.fault}"))
+            if not self._stream.is_moving:
+                self._at_rest(now)
+            return setpoint
+
+    def outlook(self, horizon: float) -> list[MotionState]:
+        """Return the setpoints to come, a stop behind ``horizon`` [s]; see :meth:`SetpointStream.outlook`."""
+        with self._lock:
+            return self._stream.outlook(horizon)
+
+    @property
+    def motion_id(self) -> int:
+        """Changes whenever the trajectory does."""
+        return self._stream.motion_id
+
+    @property
+    def task(self) -> Task | None:
+        """The running task."""
+        return self._task
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether setpoints are leaving."""
+        return self._stream.is_moving
+
+    @property
+    def remaining(self) -> float:
+        """Time until rest [s]."""
+        return self._stream.remaining
+
+    def camera_pose(self) -> Array | None:
+        """Return base_from_camera (4, 4) by the newest joint state [m]; None: none yet."""
+        with self._lock:
+            if self._measured.newest is None:
+                return None
+            return self._kinematics.forward(self._measured.newest) @ self.flange_from_camera
+
+    def condition(self) -> float:
+        """Return the condition number at the newest joint state; NaN: none yet."""
+        with self._lock:
+            q = self._measured.newest
+            return float(condition_number(self._kinematics.jacobian(q))) if q is not None else float("nan")
+
+    def error(self, task: Task) -> tuple[float, float]:
+        """Return the distance [m] and angle [rad] from the measured camera pose to a task's target; NaN: not known."""
+        pose = self.camera_pose()
+        if pose is None:
+            return float("nan"), float("nan")
+        delta = transforms.difference(pose, task.target)
+        return float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:]))
+
+    def _check(self, task: Task, now: float) -> None:
+        """Compare everything that is watched with its limits; end or hold the task."""
+        options = self.options
+        problem = watchdog.stale_joints(now - self._measured.newest_time, options) or self._deviation()
+        if problem is None and self._stream.is_moving:
+            problem = watchdog.stale_target(task, now, options)
+        if problem := problem or watchdog.waited_too_long(task, now, options):
+            self._end(problem)
+        elif (problem := watchdog.lost_cloud(task, now, options)) and task.held is None:
+            self._hold(task, problem)
+        elif self._stream.is_moving and task.held is None:
+            self._check_singularity(task)
+
+    def _deviation(self) -> Outcome | None:
+        measured = self._measured.newest
+        if measured is None:
+            return None
+        off = self._commands.deviation(self._measured.newest_time, measured)
+        return watchdog.deviation(off, self._stream.limits.names, self.options)
+
+    def _check_singularity(self, task: Task) -> None:
+        assert self._stream.state is not None
+        thresholds = self.options.thresholds
+        condition = float(condition_number(self._kinematics.jacobian(self._stream.state.position)))
+        if not self._watch.allows(condition):
+            if task.tracks:
+                self._hold(task, watchdog.singular(condition, self.options))
+                self._watch = SingularityWatch(thresholds)
+            else:
+                self._end(watchdog.singular(condition, self.options))
+            return
+        speed = thresholds.speed(condition)
+        ratio = speed / self._speed
+        if not (ratio < 1 / _SPEED_STEP or ratio > _SPEED_STEP or (speed == 1.0 and ratio != 1.0)):
+            return
+        try:
+            self._stream.move(task.goal, duration=self._stream.remaining if ratio < 1 else 0.0, speed=speed)
+        except PositionerError:
+            return  # the present motion goes on; it is within all limits too
+        self._speed = speed
+        if speed < 1.0:
+            reason = f"slowed down to {100 * speed:.0f} %: condition number {condition:.0f}"
+            self._report(Code.SINGULARITY, f"{reason}, stop at {thresholds.stop:.0f}")
+        else:
+            self._report_moving(task)
+
+    def _at_rest(self, now: float) -> None:
+        """Draw the conclusions once no setpoint is left to send."""
+        if self._settled is None and self._last_setpoint is not None:
+            self._settled = self._measured.rest_position(since=self._last_setpoint)
+        if self._ending is not None:
+            ending, self._ending = self._ending, None
+            self._finish(Outcome(ending.code, f"{ending.message}; at rest"))
+        elif self._paused:
+            self._report(Code.PAUSED, "paused by ~/pause; at rest")
+        elif self._task is not None and self._task.held is None:
+            self._arrive(self._task, now)
+
+    def _arrive(self, task: Task, now: float) -> None:
+        """Compare the measured pose with the target after the last setpoint."""
+        if task.rest_since is None:
+            task.rest_since = now
+        options = self.options
+        distance, angle = self.error(task)
+        numbers = f"{1e3 * distance:.2f} mm and {np.degrees(angle):.3f} deg from the target"
+        near = distance <= options.position_tolerance and angle <= options.orientation_tolerance
+        arrived = near and self._settled is not None
+        if task.follow:
+            self._report(Code.FOLLOWING, f"following, {numbers}")
+        elif arrived and task.kind is Kind.SERVO and now - task.target_time <= options.target_timeout:
+            self._report(Code.REACHED, f"at rest, {numbers}")
+        elif arrived:
+            self._finish(Outcome(Code.REACHED, f"at rest, {numbers}"))
+        elif now - task.rest_since > options.settle_timeout:
+            waited = f"{numbers} {options.settle_timeout:g} s after the last setpoint"
+            self._finish(Outcome(Code.DRIVER_DEVIATION, waited))
+
+    def _finish(self, outcome: Outcome) -> None:
+        self._report(outcome.code, outcome.message)
+        task, self._task = self._task, None
+        if task is not None:
+            task.finish(outcome)
+
+    def _end(self, outcome: Outcome) -> None:
+        """Brake; the task gets its outcome when the arm is at rest."""
+        if self._ending is not None:
+            return
+        self._stream.stop()
+        self._ending = outcome
+        self._report(outcome.code, self._rest_message(outcome.message))
+
+    def _hold(self, task: Task, outcome: Outcome) -> None:
+        """Brake and keep the task."""
+        if task.held is None:
+            task.held_since = self._clock()
+        task.held, task.rest_since = outcome, None
+        self._interrupt()
+        reason = self._rest_message(outcome.message)
+        self._report(outcome.code, f"{reason}; waiting up to {self.options.lost_timeout:g} s")
+
+    def _interrupt(self) -> None:
+        """Brake, to go on later."""
+        if self._task is not None and self._stream.is_moving:
+            self._task.remaining = max(self._task.arrive_at - self._clock(), 0.0)
+        self._stream.stop()
+
+    def _resume(self, task: Task) -> None:
+        """Go on to the goal of a task that was paused or held."""
+        try:
+            self._ensure_started()
+            thresholds = self.options.thresholds
+            preview = self._stream.preview(task.goal, duration=task.remaining)
+            require_regular_motion(self._kinematics, preview, thresholds)
+            task.arrive_at = self._clock() + self._stream.move(task.goal, duration=task.remaining).duration
+        except PositionerError as error:
+            self._end(Outcome(error.code, f"cannot go on: {error}"))
+            return
+        task.held, task.rest_since, self._speed = None, None, 1.0
+        self._watch = SingularityWatch(thresholds)
+        self._report_moving(task)
+
+    def _require_ready(self) -> None:
+        if self._closed:
+            raise PausedError("refused: the node is shutting down")
+        if self._paused:
+            raise PausedError("refused: paused; call ~/pause with data: false first")
+
+    def _ensure_started(self) -> None:
+        """Let the stream continue its last setpoint, or start from the measured joints where there is none."""
+        now = self._clock()
+        if stale := watchdog.stale_joints(now - self._measured.newest_time, self.options):
+            raise StaleJointsError(f"refused: {stale.message}; check joint_states")
+        if self._stream.is_moving or (self._settled is None and self._is_settling(now)):
+            return
+        position = self._measured.rest_position()
+        if position is None:
+            motion = self._measured.motion()
+            if motion is None:
+                raise NotAtRestError("refused: too few joint states yet to tell whether the arm is at rest")
+            i = int(np.argmax(motion))
+            raise NotAtRestError(
+                f"refused: joint {self._stream.limits.names[i]} moved by {motion[i]:.4f} within 0.1 s, limit "
+                f"{self.options.rest_motion:g}; wait until the arm is at rest"
+            )
+        if self._stream.fault or not self._is_untouched(position):
+            self._stream.start(position)
+            self._commands.clear()
+            self._commands.add(now, position)
+
+    def _is_settling(self, now: float) -> bool:
+        """Whether the last setpoint left so recently that the arm may still be on its way there."""
+        return self._last_setpoint is not None and now - self._last_setpoint < self.options.driver_lag
+
+    def _is_untouched(self, position: Array) -> bool:
+        """Whether the arm still stands where the last motion left it, or nearer to the last setpoint."""
+        if self._stream.state is None or self._settled is None:
+            return False
+        commanded = self._stream.state.position
+        moved = np.abs(position - self._settled)
+        nearer = np.abs(position - commanded) <= np.abs(self._settled - commanded)
+        follows = np.abs(position - commanded) <= self.options.deviation
+        return bool((((moved <= self.options.drift) | nearer) & follows).all())
+
+    def _preview(self, positions: Array, duration: float) -> Trajectory:
+        with self._lock:
+            return self._stream.preview(positions, duration=duration)
+
+    def _report_moving(self, task: Task) -> None:
+        if self._speed == 1.0:
+            doing, code = ("following", Code.FOLLOWING) if task.follow else ("moving to", Code.MOVING)
+            self._report(code, f"{doing} the target, at rest in {self._stream.remaining:.2f} s")
+
+    def _rest_message(self, reason: str) -> str:
+        if self._stream.is_moving:
+            return f"{reason}; at rest in {self._stream.remaining:.2f} s"
+        return f"{reason}; at rest"
+
+    def _report(self, code: Code, message: str) -> None:
+        self.code, self.message = code, message
+
