@@ -77,7 +77,7 @@ class Decoder:
         component, frame, u, v = (np.empty(n, np.int32) for _ in range(4))
         count, conflicts = graph.components(links, quality, lattice.steps, component, frame, u, v)
         cell, at, width = placement.lay_out(component, u, v, conflicts, count, 4)
-        letter, model, signal, field = letters.initial_letters(self.alphabet, dots.colour, near, at >= 0)
+        letter, model, signal, field, variance = letters.initial_letters(self.alphabet, centre, dots.colour, near, at >= 0)
         log_p = np.empty((n, book.alphabet), np.float32)
         claim = np.full(book.letters.shape, -1, np.int32)
         belief = np.empty(claim.shape, np.float32)
@@ -93,9 +93,8 @@ class Decoder:
         least = float(np.log(self.options.min_confidence / (1 - self.options.min_confidence))) if self.options.min_confidence < 1 else 20.0
         accepted = 0
         for turn in range(2):
-            letters.log_likelihood(dots.colour, signal, field, dots.noise, self.alphabet.group, model.direction,
-                                   model.spread, model.level, model.level_spread, log_p)
-            letter = log_p.argmax(1).astype(np.int32)
+            letters.log_likelihood(dots.colour, signal, field, variance, dots.noise, self.alphabet.group, model.direction,
+                                   model.spread, model.level, model.level_spread, log_p, letter)
             votes, _ = placement.window_votes(cell, at, width, u, v, letter, lattice.window, book.alphabet,
                                               book.codes, book.values, lattice.turn)
             found, of = placement.rank_placements(votes, component, 1)
@@ -127,7 +126,7 @@ class Decoder:
                 known = np.where(held, book.letters[np.maximum(holder_v, 0), np.maximum(holder_u, 0)], letter).astype(np.int32)
                 group = self.alphabet.group[known]
                 signal = letters.log_signal(dots.colour, model.direction, group)
-                letters.local_field(signal, near, known, model.level, held, field)
+                letters.local_field(centre, signal, near, known, model.level, held, field, variance)
                 model = letters.fit_model(self.alphabet, dots.colour, signal, field, known, held, model.direction, model.level)
         reason = np.full(n, Reason.UNKNOWN_CODE, np.uint8)
         reason[at < 0] = Reason.NO_NEIGHBOURS

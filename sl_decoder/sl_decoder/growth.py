@@ -164,7 +164,6 @@ def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map
     """
     rows, cols = claim.shape
     directions = len(steps)
-    log_a = np.log(float(log_p.shape[1]))
     queue_v = np.empty(rows * cols * 3, np.int32)
     queue_u = np.empty(rows * cols * 3, np.int32)
     waiting = np.zeros((rows, cols), np.bool_)
@@ -206,11 +205,11 @@ def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map
                 e = lattice_error(centre[j, 0] - x, centre[j, 1] - y, ax, ay, bx, by)
                 if e >= reach:
                     continue
-                e -= LETTER_WEIGHT * max(-2.0, log_p[j, map_letters[v, u]] + log_a)
+                e -= LETTER_WEIGHT * max(-2.0, log_p[j, map_letters[v, u]])
                 if e < best:
                     best = e
                     to = j
-        if to < 0 or (kind == EXTRAPOLATED and log_p[to, map_letters[v, u]] + log_a < -1.0):
+        if to < 0 or (kind == EXTRAPOLATED and log_p[to, map_letters[v, u]] < -1.0):
             continue
         claim[v, u] = to
         holder_v[to] = v

@@ -11,8 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from sl_decoder.growth import FULL, INTERPOLATED, UNPREDICTED, lattice_error, predict
+from sl_decoder.growth import UNPREDICTED, lattice_error, predict
 
+# residuals of true dots from their prediction, in lattice units: mixtures per kind of prediction
+PLACE_SIGMA = np.array([[0.010, 0.030, 0.10], [0.018, 0.05, 0.12], [0.03, 0.07, 0.12]], np.float32)
+PLACE_SHARE = np.array([[0.78, 0.20, 0.02], [0.68, 0.20, 0.12], [0.45, 0.35, 0.20]], np.float32)
+PLACE_MOST = 4.0
 PAIR = 1.2  # support of two sound neighbours on opposite sides
 SINGLE = 0.3  # support of one sound neighbour
 SWEEPS = 6
@@ -23,7 +27,6 @@ def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_o
     """Evidence of all held elements, each (V, U): letter log-likelihood ratio, position error [lattice units], kind of
     prediction, size: log of the core's area per lattice cell, relative to the neighbours'."""
     rows, cols = claim.shape
-    log_a = np.float32(np.log(float(log_p.shape[1])))
     absolute = np.empty((rows, cols), np.float32)
     for v in range(rows):
         for u in range(cols):
@@ -31,7 +34,7 @@ def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_o
             if i < 0:
                 continue
             x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
-            letter[v, u] = log_p[i, map_letters[v, u]] + log_a
+            letter[v, u] = log_p[i, map_letters[v, u]]
             kind_of[v, u] = kind
             absolute[v, u] = np.float32(np.nan)
             error[v, u] = np.float32(1.0)
@@ -63,16 +66,16 @@ def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-u
             if claim[v, u] < 0:
                 continue
             kind = kind_of[v, u]
+            e2 = np.float32(-0.5) * error[v, u] * error[v, u]
             if kind == UNPREDICTED:
-                place = -2.0
+                place = np.float32(-2.0)
             else:
-                narrow = 0.04 if kind == FULL else (0.06 if kind == INTERPOLATED else 0.08)
-                e = error[v, u]
-                density = (0.7 * np.exp(-0.5 * (e / narrow) ** 2) / (6.283 * narrow * narrow)
-                           + 0.3 * np.exp(-0.5 * (e / 0.15) ** 2) / (6.283 * 0.15 * 0.15))
-                place = min(2.5, max(-4.0, np.log(density + 0.01)))
-            s = abs(size[v, u])
-            own[v, u] = letter[v, u] + place - 2.0 * max(0.0, s - 0.35)
+                density = np.float32(0.02)
+                for c in range(3):
+                    s2 = PLACE_SIGMA[kind, c] * PLACE_SIGMA[kind, c]
+                    density += PLACE_SHARE[kind, c] * np.exp(e2 / s2) / (np.float32(2 * np.pi) * s2)
+                place = min(np.log(density), np.float32(PLACE_MOST))
+            own[v, u] = letter[v, u] + place - np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
 
 
 @njit(cache=True)

@@ -15,8 +15,10 @@ from numba import njit
 from pattern_gen import Pattern
 
 SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
-OUTLIER = 0.02  # share of dots whose letter cannot be trusted whatever the model says
-FLOOR = 1e-3
+OUTLIER = 0.04  # share of true dots that fit no letter, over that of false ones
+POOR_FIT = 8.0  # half the squared distance (in sigmas) from the best letter at which a dot counts as fitting none
+EDGE = 0.25  # log signal by which a neighbour may differ before it counts as beyond an albedo edge
+RIDGE = 0.6  # damping of the field's slopes
 
 
 @dataclass(frozen=True)
@@ -106,21 +108,80 @@ def _assign_groups(colour, direction, group):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, boundscheck=False, fastmath=True)
-def local_field(signal, near, letter, level, use, field):  # type: ignore[no-untyped-def]
-    """Mean over each dot's neighbours of log signal minus their letter's level."""
+@njit(cache=True, fastmath=True)
+def local_field(centre, signal, near, letter, level, use, field, field_variance):  # type: ignore[no-untyped-def]
+    """Field (N,) at each dot: plane through its neighbours' log signals minus their letters' levels, and its variance.
+
+    Robust (weights fall off with the distance from the median, so that albedo edges do not mix) and damped (a ridge on
+    the slopes, so that one-sided neighbourhoods extrapolate a gradient without exaggerating it).
+    """
     n, k = near.shape
+    values = np.empty(k, np.float32)
+    ordered = np.empty(k, np.float32)
+    xs = np.empty(k, np.float32)
+    ys = np.empty(k, np.float32)
+    one = np.float32(1)
     for i in range(n):
-        total = 0.0
         m = 0
+        far = np.float32(0)
         for q in range(k):
             j = near[i, q]
             if j < 0:
                 break
-            if use[j]:
-                total += signal[j] - level[letter[j]]
-                m += 1
-        field[i] = total / m if m > 0 else signal[i] - level[letter[i]]
+            if not use[j]:
+                continue
+            value = signal[j] - level[letter[j]]
+            values[m] = value
+            xs[m] = centre[j, 0] - centre[i, 0]
+            ys[m] = centre[j, 1] - centre[i, 1]
+            far = max(far, xs[m] * xs[m] + ys[m] * ys[m])
+            p = m
+            while p > 0 and ordered[p - 1] > value:
+                ordered[p] = ordered[p - 1]
+                p -= 1
+            ordered[p] = value
+            m += 1
+        if m == 0:
+            field[i] = signal[i] - level[letter[i]]
+            field_variance[i] = one
+            continue
+        middle = ordered[m // 2]
+        scale = one / np.sqrt(max(far, one))
+        sw = sz = sx = sy = sxx = sxy = syy = sxz = syz = np.float32(0)
+        for q in range(m):
+            z = values[q] - middle
+            w = one / (one + (z / np.float32(EDGE)) ** 2)
+            x = xs[q] * scale
+            y = ys[q] * scale
+            sw += w
+            sz += w * z
+            sx += w * x
+            sy += w * y
+            sxx += w * x * x
+            sxy += w * x * y
+            syy += w * y * y
+            sxz += w * x * z
+            syz += w * y * z
+        mx = sx / sw
+        my = sy / sw
+        mz = sz / sw
+        cxx = sxx - sw * mx * mx + np.float32(RIDGE)
+        cxy = sxy - sw * mx * my
+        cyy = syy - sw * my * my + np.float32(RIDGE)
+        cxz = sxz - sw * mx * mz
+        cyz = syz - sw * my * mz
+        det = cxx * cyy - cxy * cxy
+        gx = (cxz * cyy - cyz * cxy) / det
+        gy = (cyz * cxx - cxz * cxy) / det
+        field[i] = middle + mz - gx * mx - gy * my
+        total = np.float32(0)
+        for q in range(m):
+            z = values[q] - middle
+            w = one / (one + (z / np.float32(EDGE)) ** 2)
+            r = z - mz - gx * (xs[q] * scale - mx) - gy * (ys[q] * scale - my)
+            total += w * r * r
+        lever = one / sw + (mx * mx * cyy - 2 * mx * my * cxy + my * my * cxx) / det
+        field_variance[i] = (total + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
 
 
 @njit(cache=True, boundscheck=False, fastmath=True)
@@ -136,33 +197,43 @@ def _assign_levels(signal, field, group, letter_group, level, letter):  # type: 
                     letter[i] = a
 
 
-@njit(cache=True, boundscheck=False, fastmath=True)
-def log_likelihood(colour, signal, field, noise, letter_group, direction, spread, level, level_spread, out):  # type: ignore[no-untyped-def]
-    """Log-posterior (N, A) of each letter under a uniform prior, with a share of outliers."""
+@njit(cache=True, fastmath=True)
+def log_likelihood(colour, signal, field, field_variance, noise, letter_group, direction, spread, level,  # type: ignore[no-untyped-def]
+                   level_spread, out, letter):
+    """Evidence (N, A) for each letter: log-likelihood ratio against a dot of any letter or of none.
+
+    A dot that fits no letter speaks against every letter, by OUTLIER (true dots at edges and highlights do occur).
+    Also writes the best letter (N,).
+    """
     n = len(signal)
-    a = len(level)
-    angle = np.empty(len(direction))
+    count = len(level)
+    distance = np.empty(len(direction), np.float32)
+    tiny = np.float32(1e-6)
     for i in range(n):
         p, q, r = colour[i, 0], colour[i, 1], colour[i, 2]
-        norm = np.sqrt(p * p + q * q + r * r)
-        relative = noise[i] / max(norm, 1e-6)
+        norm = max(np.sqrt(p * p + q * q + r * r), tiny)
+        relative = noise[i] / norm
+        relative *= relative
         for g in range(len(direction)):
-            d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / max(norm, 1e-6)
-            angle[g] = 2.0 * max(1.0 - d, 0.0) / (spread[g] * spread[g] + relative * relative)
-        best = -1e30
-        for k in range(a):
+            d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / norm
+            distance[g] = np.float32(2) * max(np.float32(1) - d, np.float32(0)) / (spread[g] * spread[g] + relative)
+        best = np.float32(-1e30)
+        for k in range(count):
             e = signal[i] - field[i] - level[k]
-            s2 = level_spread[k] * level_spread[k] + relative * relative
-            out[i, k] = -0.5 * (angle[letter_group[k]] + e * e / s2)
-            best = max(best, out[i, k])
-        total = 0.0
-        for k in range(a):
+            s2 = level_spread[k] * level_spread[k] + relative + field_variance[i]
+            value = np.float32(-0.5) * (distance[letter_group[k]] + e * e / s2)
+            out[i, k] = value
+            if value > best:
+                best = value
+                letter[i] = k
+        total = np.float32(0)
+        for k in range(count):
             out[i, k] = np.exp(out[i, k] - best)
             total += out[i, k]
-        # beyond four sigma in everything the dot fits no letter: flatten
-        fit = np.exp(max(best + 8.0, -20.0)) if best < -8.0 else 1.0
-        for k in range(a):
-            out[i, k] = np.log((1.0 - OUTLIER) * fit * out[i, k] / total + (OUTLIER + (1.0 - OUTLIER) * (1.0 - fit)) / a)
+        fit = np.float32(1) / (np.float32(1) + np.exp(-(best + np.float32(POOR_FIT))))
+        for k in range(count):
+            ratio = out[i, k] * count / total
+            out[i, k] = np.log(np.float32(1 - OUTLIER) * fit * ratio + np.float32(OUTLIER))
 
 
 def log_signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -172,8 +243,8 @@ def log_signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> 
 
 
 def initial_letters(
-    alphabet: Alphabet, colour: np.ndarray, near: np.ndarray, use: np.ndarray
-) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray]:
+    alphabet: Alphabet, centre: np.ndarray, colour: np.ndarray, near: np.ndarray, use: np.ndarray
+) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray, np.ndarray]:
     """First reading of all dots: letters (N,) int32, the model, log signal (N,) and its field (N,).
 
     colour (N, 3) float32; near (N, K) int32 neighbours; use (N,) bool: dots that look like part of a lattice.
@@ -198,7 +269,8 @@ def initial_letters(
     # levels: start from the ranks of the deviation from the local mean, in the shares of the map
     letter = group.copy()
     field = np.empty(len(colour), np.float32)
-    local_field(signal, near, letter, group_level.astype(np.float32), use, field)
+    variance = np.empty(len(colour), np.float32)
+    local_field(centre, signal, near, letter, group_level.astype(np.float32), use, field, variance)
     deviation = signal - field
     level = np.zeros(len(alphabet.group), np.float32)
     for g in range(n_groups):
@@ -219,10 +291,10 @@ def initial_letters(
             mine = use & (letter == a)
             if mine.sum() >= 3:
                 level[a] = (signal[mine] - field[mine]).mean()
-        local_field(signal, near, letter, level, use, field)
+        local_field(centre, signal, near, letter, level, use, field, variance)
     _assign_levels(signal, field, group, letter_group, level, letter)
     model = fit_model(alphabet, colour, signal, field, letter, use, direction, level)
-    return letter, model, signal, field
+    return letter, model, signal, field, variance
 
 
 def fit_model(alphabet: Alphabet, colour: np.ndarray, signal: np.ndarray, field: np.ndarray, letter: np.ndarray,

@@ -202,7 +202,6 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
     returned number of `members`.
     """
     k = placement[1]
-    log_a = np.log(float(log_p.shape[1]))
     rows, cols = map_letters.shape
     size = len(window)
     count = 0
@@ -224,7 +223,7 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
         if mu < 0 or mv < 0 or mu >= cols or mv >= rows or map_letters[mv, mu] < 0:
             belief[i] = -20.0
             continue
-        belief[i] = log_p[i, map_letters[mv, mu]] + log_a
+        belief[i] = log_p[i, map_letters[mv, mu]]
         if belief[i] < -0.5:
             continue
         for p in range(1, size):
