@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from pattern_gen.pattern import Letter
@@ -32,3 +34,50 @@ def default_letters() -> tuple[Letter, ...]:
         for drive in (bright, dark)
         for colour in range(3)
     )
+
+
+COLOURS: dict[str, tuple[int, int, int]] = {
+    "red": (1, 0, 0),
+    "green": (0, 1, 0),
+    "blue": (0, 0, 1),
+    "white": (1, 1, 1),
+    "yellow": (1, 1, 0),
+    "cyan": (0, 1, 1),
+    "magenta": (1, 0, 1),
+}
+SHAPE_ORDER = ("disc", "ring", "cross", "square", "triangle")  # best told apart first
+
+
+def combine(colours: list[str], intensities: int, shapes: list[str]) -> tuple[Letter, ...]:
+    """All combinations of colours, intensities (brightest first) and shapes; colours vary fastest, shapes slowest.
+
+    Args:
+        colours: keys of COLOURS.
+        intensities: number of intensities.
+        shapes: keys of shapes.SHAPES.
+    """
+    return tuple(
+        Letter((drive * COLOURS[colour][0], drive * COLOURS[colour][1], drive * COLOURS[colour][2]), shape)
+        for shape, drive, colour in product(shapes, intensity_drives(intensities), colours)
+    )
+
+
+def choose_letters(count: int, *, monochrome: bool = False) -> tuple[Letter, ...]:
+    """Letters for an alphabet size: primaries first, then a second intensity, then more colours, then shapes.
+
+    Args:
+        count: 2..36.
+        monochrome: white only, told apart by shape and intensity, for cameras without colour.
+    """
+    colours = ["white"] if monochrome else ["red", "green", "blue"]
+    if count <= len(colours):
+        return combine(colours, 1, ["disc"])[:count]
+    if not monochrome and count == 4:
+        return combine(["red", "green", "blue", "white"], 1, ["disc"])
+    if not monochrome and 7 <= count <= 8:
+        colours = ["red", "green", "blue", "white"]
+    for shapes, intensities in ((1, 2), (2, 2), (3, 2), (4, 2), (5, 2), (5, 3), (5, 4), (5, 8)):
+        letters = combine(colours, intensities, list(SHAPE_ORDER[:shapes]))
+        if len(letters) >= count:
+            return letters[:count]
+    raise ValueError(f"no representation for {count} letters")
