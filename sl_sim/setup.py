@@ -18,7 +18,7 @@ setup(
     zip_safe=False,
     maintainer="The structured-light positioning maintainers",
     maintainer_email="maintainers@example.org",
-    description="A simulated cell: six-axis arm, ray-cast eye-in-hand camera, projector light, arm driver that counts limit violations.",
+    description="A simulated cell: arm, ray-cast camera, projector light, driver that counts limit violations.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

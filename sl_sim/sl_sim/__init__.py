@@ -1,1 +1,3 @@
-"""A simulated cell: six-axis arm, ray-cast eye-in-hand camera, projector light, arm driver that counts limit violations."""
+"""A simulated cell: six-axis arm, ray-cast eye-in-hand camera, projector light, arm driver that counts limit
+violations.
+"""

@@ -5,10 +5,10 @@ from importlib.resources import files
 
 import numpy as np
 import yaml
+from sl_common.kinematics import Kinematics
 
 from sl_common import transforms
-from sl_common.kinematics import Kinematics
-from sl_sim.renderer import Occluders
+from sl_sim.light import Occluders
 
 BASE_FRAME, FLANGE = "base_link", "tool0"
 
@@ -26,7 +26,9 @@ _CAPSULES = (  # link frame, ends in that frame [m], radius [m]
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of n joints: names, and (n,) arrays of positions [rad], velocity, acceleration and jerk [rad/s, /s^2, /s^3]."""
+    """Limits of n joints: names, and (n,) arrays of positions [rad], velocity, acceleration and jerk [rad/s, /s^2,
+    /s^3].
+    """
 
     names: tuple[str, ...]
     lower: np.ndarray
@@ -50,7 +52,9 @@ def limits() -> JointLimits:
     """Positions and velocities of the URDF, accelerations and jerks of the YAML beside it."""
     chain = kinematics()
     further = yaml.safe_load((files("sl_sim") / "description" / "ur5e_limits.yaml").read_text(encoding="utf-8"))
-    acceleration, jerk = (np.array([float(further[n][k]) for n in chain.joint_names]) for k in ("max_acceleration", "max_jerk"))
+    acceleration, jerk = (
+        np.array([float(further[n][k]) for n in chain.joint_names]) for k in ("max_acceleration", "max_jerk")
+    )
     return JointLimits(chain.joint_names, chain.lower, chain.upper, chain.max_velocity, acceleration, jerk)
 
 

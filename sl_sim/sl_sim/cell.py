@@ -3,18 +3,19 @@
 Everything follows from CellSettings, so that a report can rebuild the very cell that a node has simulated.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 
 import numpy as np
-
-from sl_common import transforms
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError, ModelError
 from sl_common.kinematics import Kinematics
+
+from sl_common import transforms
 from sl_sim import arm, scenes
-from sl_sim.dataset import aimed_projector
+from sl_sim.light import LightSource, aimed_projector
 from sl_sim.raycast import RayCaster
-from sl_sim.renderer import LightSource
 from sl_sim.spot_truth import Lit, light_up
 
 _TOWARDS_ARM = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -30,11 +31,13 @@ class CellSettings:
     Attributes:
         scene: name in sl_sim.scenes.NAMES. seed: varies the scene, the mounting of camera and projector, and the noise.
         camera_width, camera_height: px. focal_length: px. pers: Pers coefficient in focal lengths, 0 = no distortion.
-        projector_width, projector_height, projector_focal_length: px. projector_shift: principal point's row as a share of
+        projector_width, projector_height, projector_focal_length: px. projector_shift: principal point's row as a
+            share of
             the panel's height (above 1: below the panel).
         object_position: the object frame's origin. projector_position. start_offset: the camera at the start from the
             object's origin, in the object frame (x right, y up, z towards the arm). start_roll: about the optical axis.
-        sway: amplitude of the object's motion along base x, y, z. swing: its amplitude about the vertical. sway_period [s].
+        sway: amplitude of the object's motion along base x, y, z. swing: its amplitude about the vertical.
+            sway_period [s].
     """
 
     scene: str = "bust"
@@ -47,11 +50,11 @@ class CellSettings:
     projector_height: int = 768
     projector_focal_length: float = 1890.0
     projector_shift: float = 1.06
-    object_position: tuple[float, ...] = (1.02, 0.0, 0.42)
-    projector_position: tuple[float, ...] = (0.16, 0.46, 0.72)
-    start_offset: tuple[float, ...] = (0.07, 0.05, 0.62)
+    object_position: Sequence[float] = (1.02, 0.0, 0.42)
+    projector_position: Sequence[float] = (0.16, 0.46, 0.72)
+    start_offset: Sequence[float] = (0.07, 0.05, 0.62)
     start_roll: float = 25.0
-    sway: tuple[float, ...] = (0.0, 0.0, 0.0)
+    sway: Sequence[float] = (0.0, 0.0, 0.0)
     swing: float = 0.0
     sway_period: float = 8.0
 
@@ -76,17 +79,17 @@ class Cell:
     """A cell and its truth.
 
     Attributes:
-        settings; scene: the bodies. caster: rays against them.
+        settings. scene: the bodies. caster: rays against them.
         camera, projector: true intrinsics. flange_from_camera, base_from_projector, base_from_object: true poses.
-        kinematics: base_link to tool0. limits: of the joints. start_positions: (6,) at rest, the camera sees the object.
+        kinematics: base_link to tool0. limits: of the joints. start_positions: (6,) at rest, the camera sees the
+            object.
     """
 
     def __init__(self, settings: CellSettings) -> None:
         self.settings = settings
         rng = np.random.default_rng([settings.seed, 2007])
-        self.scene = scenes.build(settings.scene, settings.seed)
+        scenes.check(settings.scene)
         self.base_from_object = transforms.make(_TOWARDS_ARM, np.asarray(settings.object_position))
-        self.caster = RayCaster(self.scene.bodies(self.base_from_object, moving=settings.moves))
         self.camera = _camera(settings, rng)
         self.projector = _projector(settings, rng)
         self.base_from_projector = aimed_projector(
@@ -97,7 +100,9 @@ class Cell:
         )
         mount = transforms.rotation_exp(np.array([0.0, 0.0, -0.12]))
         mount = mount @ transforms.rotation_exp(np.array([0.05, -0.08, 0.0]) + rng.uniform(-0.01, 0.01, 3))
-        self.flange_from_camera = transforms.make(mount, np.array([0.018, -0.066, 0.052]) + rng.uniform(-0.003, 0.003, 3))
+        self.flange_from_camera = transforms.make(
+            mount, np.array([0.018, -0.066, 0.052]) + rng.uniform(-0.003, 0.003, 3)
+        )
         self.kinematics = arm.kinematics()
         self.limits = arm.limits()
         self.start_positions = self._start()
@@ -105,8 +110,20 @@ class Cell:
     def _start(self) -> np.ndarray:
         position = transforms.apply(self.base_from_object, np.asarray(self.settings.start_offset)[None])[0]
         view = transforms.look_at(position, self.base_from_object[:3, 3], np.array([0.0, 0.0, 1.0]))
-        roll = transforms.make(transforms.rotation_exp(np.array([0.0, 0.0, np.radians(self.settings.start_roll)])), np.zeros(3))
+        roll = transforms.make(
+            transforms.rotation_exp(np.array([0.0, 0.0, np.radians(self.settings.start_roll)])), np.zeros(3)
+        )
         return inverse_kinematics(self.kinematics, view @ roll @ transforms.inverse(self.flange_from_camera), _READY)
+
+    @cached_property
+    def scene(self) -> scenes.Scene:
+        """The bodies, built when first asked for."""
+        return scenes.build(self.settings.scene, self.settings.seed)
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        """Rays against the scene, built when first asked for."""
+        return RayCaster(self.scene.bodies(self.base_from_object, moving=self.settings.moves))
 
     @property
     def light_source(self) -> LightSource:
@@ -128,7 +145,9 @@ class Cell:
         return transforms.perturb(self.base_from_object, np.concatenate([np.asarray(s.sway) * wave, swing]))
 
     def place_object(self, base_from_object: np.ndarray | None) -> None:
-        """Put the moving part of the scene at a pose; None: where it starts. Raises InvalidInputError for a fixed object."""
+        """Put the moving part of the scene at a pose; None: where it starts. Raises InvalidInputError for a fixed
+        object.
+        """
         pose = self.base_from_object if base_from_object is None else np.asarray(base_from_object, float)
         moving = [k for k, body in enumerate(self.caster.bodies) if body.moving]
         if moving:
@@ -139,7 +158,9 @@ class Cell:
     def surface_along(
         self, base_from_camera: np.ndarray, pixels: np.ndarray, *, base_from_object: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """True surface points and unit normals (n, 3) [m], base frame, that a camera at this pose sees in pixels (n, 2); NaN: none."""
+        """True surface points and unit normals (n, 3) [m], base frame, that a camera at this pose sees in pixels (n,
+        2); NaN: none.
+        """
         self.place_object(base_from_object)
         directions = self.camera.rays(np.asarray(pixels, float)) @ base_from_camera[:3, :3].T
         hits = self.caster.first_hits(base_from_camera[:3, 3], directions)
@@ -156,7 +177,9 @@ class Cell:
     def spots_in_base(
         self, pixels: np.ndarray, *, base_from_object: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """True points and unit normals (n, 3) [m], base frame, that light of projector pixels (n, 2) falls on; NaN: none."""
+        """True points and unit normals (n, 3) [m], base frame, that light of projector pixels (n, 2) falls on; NaN:
+        none.
+        """
         self.place_object(base_from_object)
         lit: Lit = light_up(self.caster, self.projector, self.base_from_projector, np.asarray(pixels, float))
         return lit.xyz, lit.normal
@@ -164,8 +187,8 @@ class Cell:
     def truth(self) -> dict[str, object]:
         """All that a report needs to judge results, as plain types."""
         return {
-            "scene": self.scene.name,
-            "description": self.scene.description,
+            "scene": self.settings.scene,
+            "description": scenes.describe(self.settings.scene),
             "seed": self.settings.seed,
             "cell": asdict(self.settings),
             "flange_from_camera": self.flange_from_camera.tolist(),
@@ -180,7 +203,9 @@ class Cell:
 
 def _camera(settings: CellSettings, rng: np.random.Generator) -> CameraModel:
     centre = 0.5 * np.array([settings.camera_width - 1, settings.camera_height - 1]) + rng.uniform(-6, 6, 2)
-    matrix = np.array([[settings.focal_length, 0, centre[0]], [0, settings.focal_length * 1.0008, centre[1]], [0, 0, 1.0]])
+    matrix = np.array(
+        [[settings.focal_length, 0, centre[0]], [0, settings.focal_length * 1.0008, centre[1]], [0, 0, 1.0]]
+    )
     model = ("pers", (settings.pers,)) if settings.pers > 0 else ("none", ())
     return CameraModel(settings.camera_width, settings.camera_height, matrix, *model)
 
@@ -202,7 +227,9 @@ def _plain(model: CameraModel) -> dict[str, object]:
 
 
 def inverse_kinematics(chain: Kinematics, base_from_tip: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Joint positions (n,) near `start` that reach a pose, by damped least squares. Raises ModelError when there are none."""
+    """Joint positions (n,) near `start` that reach a pose, by damped least squares. Raises ModelError when there are
+    none.
+    """
     q = np.array(start, float)
     for _ in range(300):
         error = transforms.difference(chain.forward(q), base_from_tip)

@@ -3,8 +3,8 @@
 from collections import deque
 
 import numpy as np
-
 from sl_common.errors import InvalidInputError
+
 from sl_sim.driver import ArmDriver
 
 _NS = 1_000_000_000
@@ -55,7 +55,9 @@ class Clockwork:
         return new
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """(k, n) true joint positions at times (k,) [ns], linear between states. Raises InvalidInputError outside the history."""
+        """(k, n) true joint positions at times (k,) [ns], linear between states. Raises InvalidInputError outside
+        the history.
+        """
         stamps = np.array([stamp for stamp, _ in self._states])
         if times.min() < stamps[0] or times.max() > stamps[-1]:
             raise InvalidInputError("that time is not in the history of the joints")

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-
 from sl_common.errors import InvalidInputError
 
 
@@ -17,7 +16,9 @@ def trajectory_setpoints(message: Any, names: Sequence[str], period: float) -> l
     given = list(message.joint_names)
     missing = [name for name in names if name not in given]
     if missing:
-        raise InvalidInputError(f"joint_trajectory lacks {', '.join(missing)}; it has: {', '.join(given) or 'no joints'}")
+        raise InvalidInputError(
+            f"joint_trajectory lacks {', '.join(missing)}; it has: {', '.join(given) or 'no joints'}"
+        )
     if not message.points:
         raise InvalidInputError("joint_trajectory has no points")
     order = [given.index(name) for name in names]
@@ -30,6 +31,7 @@ def trajectory_setpoints(message: Any, names: Sequence[str], period: float) -> l
     steps = np.diff(times)
     if len(steps) and (np.abs(steps - period) > 0.02 * period).any():
         raise InvalidInputError(
-            f"points are {steps.min():g} to {steps.max():g} s apart; this driver takes one point per control period of {period:g} s"
+            f"points are {steps.min():g} to {steps.max():g} s apart; "
+            f"this driver takes one point per control period of {period:g} s"
         )
     return [np.asarray(point.positions, float)[order] for point in message.points]

@@ -4,16 +4,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from sl_common.cameras import CameraModel
+from sl_common.errors import StructuredLightError
 
 from pattern_gen import Pattern
 from sl_common import transforms
-from sl_common.cameras import CameraModel
-from sl_common.errors import StructuredLightError
 from sl_sim import scenes, sensor
-from sl_sim.effects import EFFECTS, Effects, exposed_radiance
+from sl_sim.effects import EFFECTS, Effects
+from sl_sim.exposing import exposed_radiance
+from sl_sim.light import LightSource, aimed_projector
 from sl_sim.projector import channel_light, light_image
 from sl_sim.raycast import RayCaster
-from sl_sim.renderer import LightSource, Renderer
+from sl_sim.renderer import Renderer
 from sl_sim.spot_truth import SpotTruth, spot_truth
 
 CAMERAS = ("vga", "vga_barrel", "hd", "hd_barrel")
@@ -30,7 +32,8 @@ class Shot:
     """One image with its truth.
 
     Attributes:
-        name: SCENE__VIEW__CAMERA__EFFECTS. image: (H, W, 3) uint8 BGR. arrays: per-spot truth. meta: the rest, plain types.
+        name: SCENE__VIEW__CAMERA__EFFECTS. image: (H, W, 3) uint8 BGR. arrays: per-spot truth. meta: the rest, plain
+            types.
     """
 
     name: str
@@ -58,31 +61,25 @@ def random_projector(width: int, height: int, rng: np.random.Generator) -> tuple
     model = CameraModel(width, height, np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]]))
     direction = np.array([rng.uniform(-0.45, 0.45), rng.uniform(-0.35, 0.35), 1.0])
     position = rng.uniform(0.85, 1.25) * direction / np.linalg.norm(direction)
-    return model, aimed_projector(model, position, np.zeros(3), roll=rng.uniform(-0.15, 0.15), up=np.array([0.0, 1.0, 0.0]))
+    return model, aimed_projector(
+        model, position, np.zeros(3), roll=rng.uniform(-0.15, 0.15), up=np.array([0.0, 1.0, 0.0])
+    )
 
 
-def aimed_projector(
-    model: CameraModel, position: np.ndarray, target: np.ndarray, *, roll: float = 0.0, up: np.ndarray | None = None
+def random_view(
+    rng: np.random.Generator, *, distance: tuple[float, float] = (0.4, 0.95), oblique: float = 60.0
 ) -> np.ndarray:
-    """base_from_projector at `position` with the panel's middle (not the optical axis) on `target`, rolled about the beam."""
-    beam = transforms.look_at(position, target, np.array([0.0, 0.0, 1.0]) if up is None else up)
-    beam = beam @ transforms.make(transforms.rotation_exp(np.array([0.0, 0.0, roll])), np.zeros(3))
-    middle = model.rays(np.array([[0.5 * (model.width - 1), 0.5 * (model.height - 1)]]))[0]
-    middle = middle / np.linalg.norm(middle)
-    axis = np.cross(middle, [0.0, 0.0, 1.0])
-    sine = np.linalg.norm(axis)
-    turn = axis / max(sine, 1e-12) * np.arctan2(sine, middle[2])
-    return beam @ transforms.make(transforms.rotation_exp(turn), np.zeros(3))
-
-
-def random_view(rng: np.random.Generator, *, distance: tuple[float, float] = (0.4, 0.95), oblique: float = 60.0) -> np.ndarray:
-    """base_from_camera that looks near the origin from a random side, distance [m] and roll; obliqueness [deg] from +z."""
+    """base_from_camera that looks near the origin from a random side, distance [m] and roll; obliqueness [deg] from
+    +z.
+    """
     angle = np.radians(oblique) * np.sqrt(rng.uniform())
     about = rng.uniform(0, 2 * np.pi)
     direction = np.array([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
     target = rng.uniform((-0.07, -0.06, -0.02), (0.07, 0.06, 0.06))
     pose = transforms.look_at(target + rng.uniform(*distance) * direction, target, np.array([0.02, 1.0, 0.01]))
-    return pose @ transforms.make(transforms.rotation_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])), np.zeros(3))
+    return pose @ transforms.make(
+        transforms.rotation_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])), np.zeros(3)
+    )
 
 
 def random_effects(kind: str, rng: np.random.Generator) -> Effects:
@@ -103,8 +100,12 @@ def random_effects(kind: str, rng: np.random.Generator) -> Effects:
     )
 
 
-def spot_arrays(pattern: Pattern, truth: SpotTruth, camera: CameraModel, effects: Effects, exposure: float) -> dict[str, np.ndarray]:
-    """The truth of a view as the arrays of a truth file, with each spot's signal and its ratio to the sensor's noise."""
+def spot_arrays(
+    pattern: Pattern, truth: SpotTruth, camera: CameraModel, effects: Effects, exposure: float
+) -> dict[str, np.ndarray]:
+    """The truth of a view as the arrays of a truth file, with each spot's signal and its ratio to the sensor's
+    noise.
+    """
     rgb = np.array([letter.rgb for letter in pattern.letters], np.uint8)
     crosstalk = np.asarray(effects.sensor.crosstalk, float)
     response = (channel_light(rgb, effects.projector) @ crosstalk.T).max(-1)
@@ -137,11 +138,26 @@ def intrinsics(model: CameraModel) -> dict[str, Any]:
     """A model as plain numbers: fx fy cx cy width height, pers_f in px or None."""
     k = model.matrix
     pers = model.coefficients[0] * k[0, 0] if model.distortion_model == "pers" else None
-    return {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "width": model.width, "height": model.height, "pers_f": pers}
+    return {
+        "fx": k[0, 0],
+        "fy": k[1, 1],
+        "cx": k[0, 2],
+        "cy": k[1, 2],
+        "width": model.width,
+        "height": model.height,
+        "pers_f": pers,
+    }
 
 
 def render_shot(
-    pattern: Pattern, *, scene: str, camera: str, effects: str, seed: int, distance: tuple[float, float] = (0.4, 0.95), oblique: float = 60.0
+    pattern: Pattern,
+    *,
+    scene: str,
+    camera: str,
+    effects: str,
+    seed: int,
+    distance: tuple[float, float] = (0.4, 0.95),
+    oblique: float = 60.0,
 ) -> Shot:
     """One random image of a scene; everything random follows from the seed.
 
@@ -157,7 +173,13 @@ def render_shot(
         projector, base_from_projector = random_projector(pattern.projector_width, pattern.projector_height, rng)
         base_from_camera = random_view(rng, distance=distance, oblique=oblique)
         truth = spot_truth(
-            caster, camera_model, base_from_camera, projector, base_from_projector, np.asarray(pattern.centers), pattern.spot_diameter
+            caster,
+            camera_model,
+            base_from_camera,
+            projector,
+            base_from_projector,
+            np.asarray(pattern.centers),
+            pattern.spot_diameter,
         )
         good = truth.visible & ~truth.edge & (truth.axes_px[..., 0] >= 2.0)
         if good.sum() >= min(LEAST_SPOTS, 0.4 * good.size):

@@ -1,7 +1,8 @@
 """The simulated robot driver: a stream of setpoints in, joint motion out, at a fixed rate.
 
 Each received setpoint stands for one control period. A short queue takes up the jitter of their arrival: a stream is
-followed once a few setpoints wait (or the first has waited that long), then one is consumed every period. When the queue
+followed once a few setpoints wait (or the first has waited that long), then one is consumed every period. When the
+queue
 runs empty the arm holds the last setpoint, as a servo would.
 """
 
@@ -9,8 +10,8 @@ from collections import deque
 from dataclasses import asdict, dataclass
 
 import numpy as np
-
 from sl_common.errors import InvalidInputError
+
 from sl_sim.arm import JointLimits, Servo
 from sl_sim.violations import ViolationCounter
 
@@ -20,7 +21,8 @@ class StreamCounts:
     """What happened to the streams, apart from limits.
 
     Attributes:
-        streams: streams begun. first_setpoint_jumps: begun farther than `jump` from the measured joints; largest_jump [rad].
+        streams: streams begun. first_setpoint_jumps: begun farther than `jump` from the measured joints;
+            largest_jump [rad].
         gaps: times the queue ran empty in the midst of a motion. stopped_while_moving: streams that ended
             without coming to rest. refused: messages that were no setpoint. dropped: setpoints beyond the queue's size.
     """
@@ -79,11 +81,15 @@ class ArmDriver:
         self._streaming = False
 
     def receive(self, positions: np.ndarray) -> tuple[str, ...]:
-        """Queue one setpoint (n,) [rad]; returns the kinds of limits it violates. Raises InvalidInputError when it is unusable."""
+        """Queue one setpoint (n,) [rad]; returns the kinds of limits it violates. Raises InvalidInputError when it
+        is unusable.
+        """
         positions = np.array(positions, float)
         if positions.shape != (len(self.limits.names),):
             self.counts.refused += 1
-            raise InvalidInputError(f"setpoint has {positions.size} values, the arm has {len(self.limits.names)} joints")
+            raise InvalidInputError(
+                f"setpoint has {positions.size} values, the arm has {len(self.limits.names)} joints"
+            )
         if not np.isfinite(positions).all():
             self.counts.refused += 1
             self.counter.found.counts["not_finite"] += 1

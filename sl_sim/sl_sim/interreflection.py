@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-
 from sl_common.cameras import CameraModel
+
 from sl_sim.raycast import RayCaster
 
 CELLS = (24, 18)
@@ -47,7 +47,8 @@ def transfer(
     body: np.ndarray,
     step: int,
 ) -> Transfer:
-    """Trace sources, receivers and what lies between; points, normals (h, w, 3), body (h, w): the camera's node lattice; step: nodes
+    """Trace sources, receivers and what lies between; points, normals (h, w, 3), body (h, w): the camera's node
+    lattice; step: nodes
     between receivers.
     """
     across, down = CELLS
@@ -77,7 +78,9 @@ def transfer(
     offset = source[cols] + 1e-3 * source_normal[cols]
     blocked = caster.occluded(offset, receiver[rows] + 1e-3 * receiver_normal[rows], slack=1e-3)
     matrix[rows[blocked], cols[blocked]] = 0.0
-    return Transfer((albedo * flux[:, None]).astype(np.float32), matrix.astype(np.float32), *(np.ascontiguousarray(a) for a in at))
+    return Transfer(
+        (albedo * flux[:, None]).astype(np.float32), matrix.astype(np.float32), *(np.ascontiguousarray(a) for a in at)
+    )
 
 
 def irradiance(light: np.ndarray, moved: Transfer) -> np.ndarray:
@@ -88,7 +91,9 @@ def irradiance(light: np.ndarray, moved: Transfer) -> np.ndarray:
 
 @njit(cache=True)
 def fill_up(coarse, coarse_points, coarse_normals, coarse_body, step, rows, cols, points, normals, albedo, body, out):
-    """Add albedo times the irradiance interpolated from receivers of the same surface to out (n, 3), at lattice rows, cols (n,)."""
+    """Add albedo times the irradiance interpolated from receivers of the same surface to out (n, 3), at lattice
+    rows, cols (n,).
+    """
     height, width = coarse_body.shape
     for i in range(rows.shape[0]):
         if body[i] < 0:
@@ -117,4 +122,3 @@ def fill_up(coarse, coarse_points, coarse_normals, coarse_body, step, rows, cols
             out[i, 0] += albedo[i, 0] * red / total
             out[i, 1] += albedo[i, 1] * green / total
             out[i, 2] += albedo[i, 2] * blue / total
-

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from sl_sim.meshes import GREY, Mesh
 
@@ -16,6 +17,30 @@ _TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], 
 def gradient(field: Field, points: np.ndarray, step: float = 1e-5) -> np.ndarray:
     """(n, 3) central differences of a field at points (n, 3) [m]."""
     return np.stack([(field(points + step * e) - field(points - step * e)) / (2 * step) for e in np.eye(3)], -1)
+
+
+def _band_values(field: Field, points: np.ndarray, counts: np.ndarray, coarse: int = 4) -> np.ndarray:
+    """Field at grid points (n, 3) near the surface; +-1 elsewhere. Details below `coarse` steps away from the
+    surface are lost.
+    """
+    ids = np.minimum(np.indices(-(-counts // coarse) + 1).reshape(3, -1).T * coarse, counts - 1)
+    strides = np.array([counts[1] * counts[2], counts[2], 1])
+    shape = -(-counts // coarse) + 1
+    rough = field(points[ids @ strides]).reshape(shape) > 0
+    near = np.zeros_like(rough)
+    for axis in range(3):
+        flips = np.diff(rough.astype(np.int8), axis=axis) != 0
+        low, high = [slice(None)] * 3, [slice(None)] * 3
+        low[axis], high[axis] = slice(0, -1), slice(1, None)
+        near[tuple(low)] |= flips
+        near[tuple(high)] |= flips
+    near = binary_dilation(near, np.ones((3, 3, 3)))
+    fine = np.indices(counts).reshape(3, -1) // coarse
+    cell = tuple(fine)
+    values = np.where(rough[cell], 1.0, -1.0)
+    band = np.flatnonzero(near[cell])
+    values[band] = np.concatenate([field(points[part]) for part in np.array_split(band, max(1, len(band) // 200_000))])
+    return np.where(values == 0, 1e-12, values)
 
 
 def mesh(
@@ -34,8 +59,7 @@ def mesh(
     counts = np.ceil((np.asarray(upper) - lower) / step).astype(int) + 1
     axes = [low + step * np.arange(n) for low, n in zip(lower, counts, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    values = np.concatenate([field(part) for part in np.array_split(points, max(1, len(points) // 200_000))])
-    values = np.where(values == 0, 1e-12, values)
+    values = _band_values(field, points, counts)
     strides = np.array([counts[1] * counts[2], counts[2], 1])
     first = (np.indices(counts - 1).reshape(3, -1).T * strides).sum(1)
     corners = first[:, None] + (_CORNERS * strides).sum(1)
@@ -58,8 +82,8 @@ def mesh(
     a, b = keys // len(points), keys % len(points)
     share = values[a] / (values[a] - values[b])
     vertices = points[a] + share[:, None] * (points[b] - points[a])
-    for _ in range(3):
-        slope = gradient(field, vertices)
+    slope = gradient(field, vertices)
+    for _ in range(2):
         move = -field(vertices)[:, None] * slope / np.maximum((slope**2).sum(1, keepdims=True), 1e-12)
         vertices = vertices + np.clip(move, -0.3 * step, 0.3 * step)
     slope = gradient(field, vertices)

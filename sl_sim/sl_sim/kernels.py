@@ -9,7 +9,8 @@ LIT, HIT = 2, 1
 @njit(cache=True, fastmath=True)
 def shade_points(
     origin, directions, distance, face, bary_u, bary_v, faces, vertex_normals, vertex_albedo, face_body, gloss,
-    light_from_base, light_k, light_size, light_distorted, vignetting, ambient, up, points, normals, uv, gain, sky, albedo,
+    light_from_base, light_k, light_size, light_distorted, vignetting, ambient, up, points, normals, uv, gain, sky,
+    albedo,
     body, flags,
 ):  # fmt: skip
     """Surface, projector coordinates and light transport of first hits; shadows are not known here.
@@ -18,7 +19,8 @@ def shade_points(
     light_size (width height), light_distorted: uv is given in ideal normalised coordinates instead of pixels,
     vignetting: the projector's loss at the panel's corner, ambient: strength, up (3,).
     Out: points (n, 3), normals (n, 3), uv (n, 2), gain (n, 3): radiance per unit of projector light (pi folded in),
-    sky (n, 3): radiance by ambient light, albedo (n, 3), body (n,) int32, flags (n,): HIT, and LIT where the projector may reach the point.
+    sky (n, 3): radiance by ambient light, albedo (n, 3), body (n,) int32, flags (n,): HIT, and LIT where the
+    projector may reach the point.
     """
     fx, fy, cx, cy = light_k[0], light_k[1], light_k[2], light_k[3]
     lx = -(light_from_base[0, 0] * light_from_base[0, 3] + light_from_base[1, 0] * light_from_base[1, 3]
@@ -119,7 +121,9 @@ def uneven_cells(points, normals, albedo, body, flags, uneven):
             if not bad and b0 >= 0:
                 for k in range(4):
                     i1, j1 = i + (k >> 1), j + (k & 1)
-                    i2, j2 = (i, j + 1) if k == 0 else ((i + 1, j + 1) if k == 1 else ((i, j) if k == 2 else (i + 1, j)))
+                    i2, j2 = (
+                        (i, j + 1) if k == 0 else ((i + 1, j + 1) if k == 1 else ((i, j) if k == 2 else (i + 1, j)))
+                    )
                     c = 0.0
                     d2, s1, s2 = 0.0, 0.0, 0.0
                     for a in range(3):
@@ -165,7 +169,8 @@ def _look_up(light, scale, u, v, out):
 
 @njit(cache=True, fastmath=True)
 def gather(
-    light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_sky, cell, fraction, part, samples, across, image
+    light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_sky, cell, fraction, part, samples, across,
+    image
 ):  # fmt: skip
     """Integrate the radiance over each pixel's samples x samples sub-pixels into image (H, W, 3) float32.
 

@@ -66,7 +66,11 @@ def _lattice_faces(rows: int, cols: int) -> np.ndarray:
 
 
 def _mesh(
-    vertices: np.ndarray, faces: np.ndarray, albedo: tuple[float, float, float], name: str, normals: np.ndarray | None = None
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    albedo: tuple[float, float, float],
+    name: str,
+    normals: np.ndarray | None = None,
 ) -> Mesh:
     if normals is None:
         normals = smooth_normals(vertices, faces)
@@ -82,7 +86,9 @@ def height_field(
     albedo: tuple[float, float, float] = GREY,
     name: str = "height field",
 ) -> Mesh:
-    """The surface z = height(x, y) over a width x depth rectangle centred on the origin, facing +z; step: lattice [m]."""
+    """The surface z = height(x, y) over a width x depth rectangle centred on the origin, facing +z; step: lattice
+    [m].
+    """
     cols, rows = max(2, round(width / step) + 1), max(2, round(depth / step) + 1)
     x, y = np.meshgrid(np.linspace(-width / 2, width / 2, cols), np.linspace(-depth / 2, depth / 2, rows))
     z = np.broadcast_to(height(x, y), x.shape)
@@ -102,7 +108,9 @@ def star_shape(
     name: str = "star shape",
 ) -> Mesh:
     """The closed surface at distance radius(unit directions (n, 3)) -> (n,) from the origin; the poles lie on +-y."""
-    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, parallels), np.linspace(0, 2 * np.pi, 2 * parallels), indexing="ij")
+    polar, azimuth = np.meshgrid(
+        np.linspace(0, np.pi, parallels), np.linspace(0, 2 * np.pi, 2 * parallels), indexing="ij"
+    )
     direction = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
     shape = polar.shape
     vertices = (radius(direction.reshape(-1, 3))[:, None] * direction.reshape(-1, 3)).reshape(*shape, 3)
@@ -117,7 +125,9 @@ def star_shape(
     return _mesh(flat, np.ascontiguousarray(faces, np.int32), albedo, name, normals.reshape(-1, 3))
 
 
-def sphere(radius: float, *, parallels: int = 240, albedo: tuple[float, float, float] = GREY, name: str = "sphere") -> Mesh:
+def sphere(
+    radius: float, *, parallels: int = 240, albedo: tuple[float, float, float] = GREY, name: str = "sphere"
+) -> Mesh:
     """A sphere about the origin, tessellated so finely that its facets deviate by radius * 2e-5 at the default."""
     mesh = star_shape(lambda d: np.full(len(d), radius), parallels=parallels, albedo=albedo, name=name)
     return replace(mesh, normals=mesh.vertices / radius)
@@ -136,7 +146,9 @@ def cylinder(
     for edge, sign in ((up, 1.0), (down, -1.0)):
         centre = np.array([[0.0, sign * length / 2, 0.0]])
         normal = np.tile([0.0, sign, 0.0], (sides + 2, 1))
-        parts.append(_mesh(np.concatenate([edge, centre]), fan if sign > 0 else fan[:, [1, 0, 2]], albedo, name, normal))
+        parts.append(
+            _mesh(np.concatenate([edge, centre]), fan if sign > 0 else fan[:, [1, 0, 2]], albedo, name, normal)
+        )
     return join(parts, name)
 
 

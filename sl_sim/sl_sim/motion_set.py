@@ -5,15 +5,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from sl_common.errors import ModelError
 
 from pattern_gen import Pattern
 from sl_common import transforms
-from sl_common.errors import ModelError
 from sl_sim import sensor
 from sl_sim.arm import ArmBody
 from sl_sim.cell import Cell, inverse_kinematics
 from sl_sim.dataset import NoViewError, intrinsics, spot_arrays
-from sl_sim.effects import Effects, exposed_radiance
+from sl_sim.effects import Effects
+from sl_sim.exposing import exposed_radiance
 from sl_sim.projector import light_image
 from sl_sim.renderer import Renderer
 from sl_sim.spot_truth import SpotTruth, spot_truth
@@ -32,8 +33,11 @@ class MotionView:
     arrays: dict[str, np.ndarray]
 
 
-def random_positions(cell: Cell, rng: np.random.Generator, *, distance: tuple[float, float], oblique: float) -> np.ndarray:
-    """(6,) joint positions from which the camera looks at the object from a random side, distance [m], roll; within reach.
+def random_positions(
+    cell: Cell, rng: np.random.Generator, *, distance: tuple[float, float], oblique: float
+) -> np.ndarray:
+    """(6,) joint positions from which the camera looks at the object from a random side, distance [m], roll; within
+    reach.
 
     Raises NoViewError when 200 draws are out of reach.
     """
@@ -41,7 +45,9 @@ def random_positions(cell: Cell, rng: np.random.Generator, *, distance: tuple[fl
         angle, about = np.radians(oblique) * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
         direction = np.array([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
         target = rng.uniform((-0.05, -0.05, -0.02), (0.05, 0.05, 0.05))
-        position, target = transforms.apply(cell.base_from_object, np.array([target + rng.uniform(*distance) * direction, target]))
+        position, target = transforms.apply(
+            cell.base_from_object, np.array([target + rng.uniform(*distance) * direction, target])
+        )
         view = transforms.look_at(position, target, np.array([0.02, 0.01, 1.0]))
         roll = transforms.rotation_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
         pose = view @ transforms.make(roll, np.zeros(3)) @ transforms.inverse(cell.flange_from_camera)
@@ -64,7 +70,8 @@ def motion_views(
     oblique: float = 40.0,
     seed: int = 0,
 ) -> Iterator[MotionView]:
-    """Yield `count` MotionViews of a cell. noise_mm, noise_deg: standard deviation per axis of the reported flange poses.
+    """Yield `count` MotionViews of a cell. noise_mm, noise_deg: standard deviation per axis of the reported flange
+    poses.
 
     Raises NoViewError when the scene shows too few spots from anywhere.
     """
@@ -81,7 +88,9 @@ def motion_views(
         radiance = exposed_radiance(renderer, light, base_from_camera, effects, reach, occluders=body.at(positions))
         signal = sensor.filtered(radiance, falloff, effects.sensor)
         exposure = effects.sensor.exposure or sensor.automatic_exposure(signal, effects.sensor)
-        noise = np.concatenate([1e-3 * noise_mm * rng.standard_normal(3), np.radians(noise_deg) * rng.standard_normal(3)])
+        noise = np.concatenate(
+            [1e-3 * noise_mm * rng.standard_normal(3), np.radians(noise_deg) * rng.standard_normal(3)]
+        )
         yield MotionView(
             positions,
             base_from_flange,
@@ -106,7 +115,9 @@ def _good_view(
     raise NoViewError(f"scene '{cell.scene.name}' shows fewer than {LEAST_SPOTS} spots from 60 random poses")
 
 
-def motion_file(cell: Cell, views: list[MotionView], names: list[str], noise_mm: float, noise_deg: float) -> dict[str, Any]:
+def motion_file(
+    cell: Cell, views: list[MotionView], names: list[str], noise_mm: float, noise_deg: float
+) -> dict[str, Any]:
     """The content of motion.json: what a calibration may use, and under `truth` what it is judged by."""
     pers = cell.camera.distortion_model == "pers"
     return {

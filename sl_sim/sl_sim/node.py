@@ -8,22 +8,23 @@ from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, JointState
+from sl_common.errors import StructuredLightError
+from sl_common.ros import camera_info, diagnostics, images, qos, stamps
+from sl_common.ros.run import run_node
+from sl_common.ros.waiting import InputWatch
 from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sl_common import transforms
-from sl_common.errors import StructuredLightError
-from sl_common.ros import camera_info, diagnostics, images, qos, stamps
-from sl_common.ros.run import run_node
-from sl_common.ros.waiting import InputWatch
-from sl_sim import arm
-from sl_sim.camera_worker import CameraWorker, Exposure, Taken
+from sl_sim import arm, scenes
+from sl_sim.camera_worker import CameraWorker
 from sl_sim.cell import Cell
 from sl_sim.clockwork import Clockwork
 from sl_sim.commanding import trajectory_setpoints
 from sl_sim.driver import ArmDriver
 from sl_sim.errors import CellError
+from sl_sim.exposures import Exposure, Taken
 from sl_sim.node_parameters import declare_all
 
 CAMERA_FRAME = "camera_optical_frame"
@@ -76,8 +77,9 @@ class CellNode(Node):
         self.create_timer(1.0, self._report)
         self._report()
         self.get_logger().info(
-            f"scene '{p.settings.scene}' (seed {p.settings.seed}): {cell.scene.description}; setpoints at {p.control_rate:g} Hz "
-            f"on commands or joint_trajectory; the projector is dark until projector/image arrives"
+            f"scene '{p.settings.scene}' (seed {p.settings.seed}): {scenes.describe(p.settings.scene)}; "
+            f"setpoints at {p.control_rate:g} Hz on commands or joint_trajectory; "
+            "the projector is dark until projector/image arrives"
         )
 
     def _now(self) -> int:
@@ -93,7 +95,10 @@ class CellNode(Node):
             image = images.to_bgr(message)
             expected = (self._cell.projector.height, self._cell.projector.width, 3)
             if image.shape != expected:
-                raise CellError(f"projector/image is {image.shape[1]}x{image.shape[0]}, the projector has {expected[1]}x{expected[0]}")
+                raise CellError(
+                    f"projector/image is {image.shape[1]}x{image.shape[0]}, "
+                    f"the projector has {expected[1]}x{expected[0]}"
+                )
         except StructuredLightError as error:
             self.get_logger().warning(f"projector/image ignored: {error}", throttle_duration_sec=2.0)
             return
@@ -120,7 +125,9 @@ class CellNode(Node):
                 continue
             self._diagnostics.tick("setpoints")
             if outside:
-                self.get_logger().warning(f"setpoint outside the limits in {', '.join(outside)}", throttle_duration_sec=2.0)
+                self.get_logger().warning(
+                    f"setpoint outside the limits in {', '.join(outside)}", throttle_duration_sec=2.0
+                )
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._driver.reset(self._cell.start_positions)
@@ -173,7 +180,9 @@ class CellNode(Node):
         measured = positions + p.encoder_noise * self._encoder.standard_normal(len(positions))
         if p.encoder_step > 0:
             measured = np.round(measured / p.encoder_step) * p.encoder_step
-        message = JointState(name=list(self._cell.limits.names), position=measured.tolist(), velocity=servo.velocities.tolist())
+        message = JointState(
+            name=list(self._cell.limits.names), position=measured.tolist(), velocity=servo.velocities.tolist()
+        )
         message.header = Header(stamp=stamps.from_ns(stamp))
         self._joint_pub.publish(message)
         self._diagnostics.tick("joint states")
@@ -198,9 +207,18 @@ class CellNode(Node):
         self._truth_pub.publish(String(data=json.dumps(truth)))
         total = report["violations_total"]
         self._diagnostics.level(
-            diagnostics.WARN if total else diagnostics.OK, f"{total} setpoints outside the limits" if total else "running"
+            diagnostics.WARN if total else diagnostics.OK,
+            f"{total} setpoints outside the limits" if total else "running",
         )
-        for key in ("setpoints", "violations_total", "streams", "first_setpoint_jumps", "gaps", "stopped_while_moving", "refused"):
+        for key in (
+            "setpoints",
+            "violations_total",
+            "streams",
+            "first_setpoint_jumps",
+            "gaps",
+            "stopped_while_moving",
+            "refused",
+        ):
             self._diagnostics.set(key, report[key])
 
     def destroy_node(self) -> None:
@@ -208,8 +226,8 @@ class CellNode(Node):
         r = self.report()
         self.get_logger().info(
             f"{r['setpoints']} setpoints in {r['streams']} streams; violations {r['violations']}; first-setpoint jumps "
-            f"{r['first_setpoint_jumps']}, gaps {r['gaps']}, stopped while moving {r['stopped_while_moving']}, refused {r['refused']}; "
-            f"{r['images']} images"
+            f"{r['first_setpoint_jumps']}, gaps {r['gaps']}, stopped while moving {r['stopped_while_moving']}, "
+            f"refused {r['refused']}; {r['images']} images"
         )
         self._worker.close()
         super().destroy_node()

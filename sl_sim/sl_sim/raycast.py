@@ -22,7 +22,9 @@ class Body:
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of n rays: distance in units of the direction's length (inf = none), global face index (-1 = none), barycentrics."""
+    """First hits of n rays: distance in units of the direction's length (inf = none), global face index (-1 = none),
+    barycentrics.
+    """
 
     distance: np.ndarray
     face: np.ndarray
@@ -124,7 +126,9 @@ class RayCaster:
         return best
 
     def occluded(self, origin: np.ndarray, points: np.ndarray, *, slack: float = 3e-4) -> np.ndarray:
-        """(n,) bool: something lies between origin (3,) or (n, 3) and the points (n, 3), further than slack [m] before them."""
+        """(n,) bool: something lies between origin (3,) or (n, 3) and the points (n, 3), further than slack [m]
+        before them.
+        """
         towards = points - origin
         length = np.sqrt(np.einsum("ij,ij->i", towards, towards))
         reach = np.maximum(1.0 - slack / np.maximum(length, 1e-9), 0.0).astype(np.float32)

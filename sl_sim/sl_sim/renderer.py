@@ -1,56 +1,23 @@
 """Images of a scene in a projector's light, as a camera sees it.
 
-Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of nodes; where between four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
-transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where neither
+Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of nodes; where between
+four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
+transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where
+neither
 camera, projector nor scene has moved, all of this is kept and only the light is gathered again.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from sl_common.cameras import CameraModel
 
 from sl_common import transforms
-from sl_common.cameras import CameraModel
 from sl_sim import interreflection, kernels
+from sl_sim.light import LightSource, Occluders
 from sl_sim.projector import LIGHT_SCALE
 from sl_sim.raycast import RayCaster
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderOptions:
-    """How light is simulated.
-
-    Attributes:
-        samples: sub-pixels per pixel and axis.
-        lattice: distance of the nodes [px]; details smaller than that between even nodes may be missed.
-        ambient: radiance of a white surface by ambient light, relative to projector white on it at 1 m.
-        ambient_colour: (3,) RGB of the ambient light.
-        projector_vignetting: the projector's loss at the far corner, see ProjectorOptions.
-        interreflection: add one bounce of the projector's light between surfaces.
-    """
-
-    samples: int = 2
-    lattice: int = 1
-    ambient: float = 0.02
-    ambient_colour: tuple[float, float, float] = (1.0, 0.95, 0.85)
-    projector_vignetting: float = 0.15
-    interreflection: bool = False
-
-
-@dataclass(frozen=True)
-class LightSource:
-    """The projector: its intrinsics and pose."""
-
-    model: CameraModel
-    base_from_projector: np.ndarray
-
-
-@dataclass(frozen=True)
-class Occluders:
-    """Capsules that keep light from the scene (the arm): ends (k, 2, 3) [m], radii (k,) [m], base frame."""
-
-    ends: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
-    radii: np.ndarray = field(default_factory=lambda: np.zeros(0))
+from sl_sim.render_options import RenderOptions
 
 
 @dataclass
@@ -66,8 +33,9 @@ class _Shaded:
 
     @classmethod
     def empty(cls, n: int) -> "_Shaded":
-        wide = [np.zeros((n, k), np.float32) for k in (3, 3, 2, 3, 3, 3)]
-        return cls(*wide, np.zeros(n, np.int32), np.zeros(n, np.uint8))
+        three = [np.zeros((n, 3), np.float32) for _ in range(5)]
+        uv = np.zeros((n, 2), np.float32)
+        return cls(three[0], three[1], uv, three[2], three[3], three[4], np.zeros(n, np.int32), np.zeros(n, np.uint8))
 
 
 @dataclass
@@ -158,7 +126,8 @@ class Renderer:
         for part, rows, cols in ((view.nodes, node_rows, node_cols), (view.fine, fine_rows, fine_cols)):
             sky = part.sky.copy()
             interreflection.fill_up(
-                coarse, view.transfer.points, view.transfer.normals, view.transfer.body, self._receiver_step, rows.ravel(),
+                coarse, view.transfer.points, view.transfer.normals, view.transfer.body, self._receiver_step,
+                rows.ravel(),
                 cols.ravel(), part.points.reshape(-1, 3), part.normals.reshape(-1, 3), part.albedo.reshape(-1, 3),
                 part.body.ravel(), sky.reshape(-1, 3),
             )  # fmt: skip

@@ -1,6 +1,7 @@
 """The scenes: bodies in an object frame whose origin lies on or in the object, z towards the viewer, y up.
 
-`build(name, seed)` varies sizes, places and paint with the seed; seed 0 is the nominal scene. All lengths in metres; the
+`build(name, seed)` varies sizes, places and paint with the seed; seed 0 is the nominal scene. All lengths in metres;
+the
 objects fit into about 0.5 x 0.4 x 0.3 m, what lies behind them is a wall of 2.4 m.
 """
 
@@ -8,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from sl_common.errors import StructuredLightError
 
 from sl_common import transforms
-from sl_common.errors import StructuredLightError
 from sl_sim import isosurface, meshes
 from sl_sim.meshes import Mesh
 from sl_sim.raycast import Body
@@ -24,7 +25,9 @@ class UnknownSceneError(StructuredLightError):
 
 @dataclass(frozen=True)
 class Scene:
-    """Named bodies in the object frame; `followed` tells which of them move when the object moves (all but the wall)."""
+    """Named bodies in the object frame; `followed` tells which of them move when the object moves (all but the
+    wall).
+    """
 
     name: str
     description: str
@@ -44,7 +47,9 @@ class Scene:
         return fixed
 
 
-def _pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+def _pose(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> np.ndarray:
     return transforms.make(transforms.rotation_exp(np.asarray(turn, float)), np.array([x, y, z]))
 
 
@@ -62,7 +67,9 @@ def _harmonics(rng: np.random.Generator, count: int, wavelength: tuple[float, fl
     length = rng.uniform(*wavelength, count)
     angle = rng.uniform(0, np.pi, count)
     wave = 2 * np.pi / length
-    return np.stack([wave * np.cos(angle), wave * np.sin(angle), rng.uniform(0, 2 * np.pi, count), rng.uniform(0.5, 1, count)], 1)
+    return np.stack(
+        [wave * np.cos(angle), wave * np.sin(angle), rng.uniform(0, 2 * np.pi, count), rng.uniform(0.5, 1, count)], 1
+    )
 
 
 def _sum(waves: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -94,7 +101,9 @@ def _sphere(rng: np.random.Generator) -> Parts:
 def _wavy(rng: np.random.Generator) -> Parts:
     """smooth wavy surface"""
     waves = _harmonics(rng, 7, (0.18, 0.5))
-    mesh = meshes.height_field(lambda x, y: 0.055 * _sum(waves, x, y), 1.4, 1.4, step=0.004, albedo=_paint(rng), name="waves")
+    mesh = meshes.height_field(
+        lambda x, y: 0.055 * _sum(waves, x, y), 1.4, 1.4, step=0.004, albedo=_paint(rng), name="waves"
+    )
     return [(mesh, _pose())]
 
 
@@ -121,7 +130,9 @@ def _bust(rng: np.random.Generator) -> Parts:
         sockets = np.exp(-(((points[:, None, :] - eyes[None, :, :3]) / eyes[None, :, 3:]) ** 2).sum(-1)).sum(-1)
         return np.log(solid + 1e-9) - 0.9 * sockets
 
-    mesh = isosurface.mesh(field, (-0.25, -0.27, -0.14), (0.25, 0.27, 0.16), step=0.0045, albedo=_paint(rng, 0.7, 0.04), name="bust")
+    mesh = isosurface.mesh(
+        field, (-0.25, -0.27, -0.14), (0.25, 0.27, 0.16), step=0.0045, albedo=_paint(rng, 0.7, 0.04), name="bust"
+    )
     turn = (0.06 * rng.standard_normal(), 0.25 * rng.standard_normal(), 0.05 * rng.standard_normal())
     return [_wall(0.16, rng), (mesh, _pose(y=-0.03, turn=turn))]
 
@@ -144,7 +155,12 @@ def _stairs(rng: np.random.Generator) -> Parts:
     parts = []
     for k in range(steps):
         size = (0.7, tread, 0.3 + rise * k)
-        parts.append((meshes.box(size, albedo=_paint(rng), name=f"step {k}"), _pose(y=(k - steps / 2 + 0.5) * tread, z=rise * k / 2 - 0.2)))
+        parts.append(
+            (
+                meshes.box(size, albedo=_paint(rng), name=f"step {k}"),
+                _pose(y=(k - steps / 2 + 0.5) * tread, z=rise * k / 2 - 0.2),
+            )
+        )
     spin = _pose(turn=(0.0, 0.0, rng.uniform(-np.pi, np.pi)))
     return [_wall(0.12, rng)] + [(mesh, spin @ pose) for mesh, pose in parts]
 
@@ -157,9 +173,13 @@ def _corner(rng: np.random.Generator) -> Parts:
     shift = [(side / 2, side / 2, 0.0), (0.0, side / 2, side / 2), (side / 2, 0.0, side / 2)]
     tilt = transforms.rotation_exp(np.array([0.0, -np.pi / 4, 0.0]))
     tilt = transforms.rotation_exp(np.array([np.arctan(1 / np.sqrt(2)), 0.0, 0.0])) @ tilt
-    room = transforms.make(transforms.rotation_exp(np.array([*(0.15 * rng.standard_normal(2)), rng.uniform(-0.5, 0.5)])) @ tilt, [0, -0.03, -0.1])
+    room = transforms.make(
+        transforms.rotation_exp(np.array([*(0.15 * rng.standard_normal(2)), rng.uniform(-0.5, 0.5)])) @ tilt,
+        [0, -0.03, -0.1],
+    )
     return [
-        (meshes.rectangle(side, side, albedo=paint[k], name="corner"), room @ _pose(*shift[k]) @ faces[k]) for k in range(3)
+        (meshes.rectangle(side, side, albedo=paint[k], name="corner"), room @ _pose(*shift[k]) @ faces[k])
+        for k in range(3)
     ]
 
 
@@ -205,7 +225,9 @@ def _glossy(rng: np.random.Generator) -> Parts:
         bumps = sum(np.sin(k * direction @ (axis / np.linalg.norm(axis)) + phase) for axis, phase, k in waves)
         return 0.13 * (1.0 + 0.05 * bumps)
 
-    mesh = replace(meshes.star_shape(radius, albedo=_paint(rng, 0.6, 0.1), name="glazed"), gloss=0.12, gloss_exponent=60.0)
+    mesh = replace(
+        meshes.star_shape(radius, albedo=_paint(rng, 0.6, 0.1), name="glazed"), gloss=0.12, gloss_exponent=60.0
+    )
     return [_wall(0.11, rng), (mesh, _pose(z=0.03))]
 
 
@@ -214,7 +236,12 @@ def _clutter(rng: np.random.Generator) -> Parts:
     parts = [_wall(0.15, rng)]
     for _ in range(4):
         at = _pose(*rng.uniform((-0.2, -0.15, -0.1), (0.2, 0.15, 0.06)), tuple(rng.uniform(-1, 1, 3)))
-        parts.append((meshes.sphere(rng.uniform(0.03, 0.08), parallels=160, albedo=_paint(rng, rng.uniform(0.4, 0.85), 0.15)), at))
+        parts.append(
+            (
+                meshes.sphere(rng.uniform(0.03, 0.08), parallels=160, albedo=_paint(rng, rng.uniform(0.4, 0.85), 0.15)),
+                at,
+            )
+        )
     for _ in range(5):
         at = _pose(*rng.uniform((-0.22, -0.17, -0.12), (0.22, 0.17, 0.04)), tuple(rng.uniform(-1, 1, 3)))
         size = tuple(rng.uniform(0.05, 0.16, 3))
@@ -235,19 +262,40 @@ def _freeform(rng: np.random.Generator) -> Parts:
 
 
 _BUILDERS: dict[str, Callable[[np.random.Generator], Parts]] = {
-    "plane": _plane, "tilted": _tilted, "sphere": _sphere, "wavy": _wavy, "bust": _bust, "boxes": _boxes, "stairs": _stairs,
-    "corner": _corner, "cylinder": _cylinder, "textured": _textured, "checker": _checker, "glossy": _glossy,
-    "clutter": _clutter, "freeform": _freeform,
-}  # fmt: skip
+    "plane": _plane,
+    "tilted": _tilted,
+    "sphere": _sphere,
+    "wavy": _wavy,
+    "bust": _bust,
+    "boxes": _boxes,
+    "stairs": _stairs,
+    "corner": _corner,
+    "cylinder": _cylinder,
+    "textured": _textured,
+    "checker": _checker,
+    "glossy": _glossy,
+    "clutter": _clutter,
+    "freeform": _freeform,
+}
 
 NAMES = tuple(_BUILDERS)
 
 
-def build(name: str, seed: int = 0) -> Scene:
-    """The scene of this name, varied by the seed. Raises UnknownSceneError with the list of names."""
+def check(name: str) -> None:
+    """Raise UnknownSceneError, with the list of names, when there is no such scene."""
     if name not in _BUILDERS:
         raise UnknownSceneError(f"unknown scene '{name}': use one of {', '.join(NAMES)}")
-    builder = _BUILDERS[name]
-    parts = builder(np.random.default_rng([seed, *name.encode()]))
+
+
+def describe(name: str) -> str:
+    """What a scene shows, in a few words."""
+    check(name)
+    return (_BUILDERS[name].__doc__ or name).strip()
+
+
+def build(name: str, seed: int = 0) -> Scene:
+    """The scene of this name, varied by the seed. Raises UnknownSceneError with the list of names."""
+    check(name)
+    parts = _BUILDERS[name](np.random.default_rng([seed, *name.encode()]))
     followed = tuple(mesh.name != "wall" or len(parts) == 1 for mesh, _ in parts)
-    return Scene(name, (builder.__doc__ or name).strip(), tuple(parts), followed)
+    return Scene(name, describe(name), tuple(parts), followed)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-
 from sl_common.cameras import CameraModel
+
 from sl_sim.projector import linear_to_srgb
 
 _BAYER_TO_BGR = {  # OpenCV names a mosaic by its second row, from the second column on
@@ -64,7 +64,9 @@ def lens_falloff(camera: CameraModel, strength: float) -> np.ndarray:
 
 
 def filtered(radiance: np.ndarray, falloff: np.ndarray, options: SensorOptions) -> np.ndarray:
-    """Sensor signal (H, W, 3) float32 RGB before exposure, of radiance (H, W, 3) float32: falloff, blur, colour filters."""
+    """Sensor signal (H, W, 3) float32 RGB before exposure, of radiance (H, W, 3) float32: falloff, blur, colour
+    filters.
+    """
     signal = cv2.transform(radiance, np.asarray(options.crosstalk, np.float32))
     signal *= falloff
     if options.blur > 0:
@@ -105,13 +107,17 @@ def expose(signal: np.ndarray, exposure: float, options: SensorOptions, rng: np.
     gains = white_gains(options)
     # White balance belongs before demosaicing, where edges are compared between channels.
     if options.bayer:
-        tables = np.clip(np.outer(gains, np.arange(top + 1)) * (65535.0 / top) / gains.max(), 0, 65535).astype(np.uint16)
+        tables = np.clip(np.outer(gains, np.arange(top + 1)) * (65535.0 / top) / gains.max(), 0, 65535).astype(
+            np.uint16
+        )
         for channel, (row, col) in _sites(options.bayer):
             codes[row::2, col::2] = tables[channel][codes[row::2, col::2]]
         bgr = cv2.cvtColor(codes, _BAYER_TO_BGR[options.bayer][1 if options.demosaic == "edge" else 0])
         bgr = _response_table(options, gains.max())[bgr]
     else:
-        tables = np.clip(np.outer(gains, np.arange(top + 1)) * (65535.0 / top) / gains.max(), 0, 65535).astype(np.uint16)
+        tables = np.clip(np.outer(gains, np.arange(top + 1)) * (65535.0 / top) / gains.max(), 0, 65535).astype(
+            np.uint16
+        )
         response = _response_table(options, gains.max())
         bgr = np.stack([response[tables[k][codes[..., k]]] for k in (2, 1, 0)], -1)
     if options.jpeg:

@@ -1,16 +1,17 @@
 """Exact truth about every projected spot in a view, by casting rays from the projector and from the camera.
 
 A spot is the disc of light about a pattern's centre on the panel. Its true position in the image is that of its centre:
-the point that the ray through the centre hits, seen by the camera. The disc's footprint, traced ray by ray, tells how large
+the point that the ray through the centre hits, seen by the camera. The disc's footprint, traced ray by ray, tells
+how large
 the spot appears, how far its centroid lies from its centre, and whether an edge of the scene cuts it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from sl_common.cameras import CameraModel
 
 from sl_common import transforms
-from sl_common.cameras import CameraModel
 from sl_sim.raycast import RayCaster
 
 RINGS = ((0.0, 1), (0.25, 6), (0.5, 12), (0.75, 18), (0.95, 24))
@@ -26,7 +27,8 @@ class SpotTruth:
     Attributes:
         xy: (.., 2) camera px of the spot's centre, NaN where its ray hits nothing in front of the camera.
         visible: the centre is lit, in the image and seen by the camera.
-        edge: a depth jump, crease, shadow, occlusion or the image border lies within the spot's margin.
+        edge: a depth jump, crease, shadow, occlusion, step in the paint or the image border lies within the spot's
+            margin.
         partial: the centre is not visible but part of the disc is.
         axes_px: (.., 2) minor and major diameter of the footprint. shift: (.., 2) its centroid minus xy, px.
         xyz, normal: (.., 3) base frame [m]. cos_proj, cos_cam: cosines of incidence.
@@ -48,7 +50,12 @@ class SpotTruth:
 
 @dataclass(frozen=True)
 class Lit:
-    """What rays through projector pixels hit: xyz, normal (n, 3) base frame, NaN where nothing; body (n,), -1 = nothing."""
+    """What rays through projector pixels hit.
+
+    Attributes:
+        xyz, normal: (n, 3) base frame, NaN where nothing. body: (n,), -1 = nothing. reflectance: (n,) mean over the
+            channels.
+    """
 
     xyz: np.ndarray
     normal: np.ndarray
@@ -71,7 +78,9 @@ def light_up(caster: RayCaster, projector: CameraModel, base_from_projector: np.
     )
 
 
-def seen(caster: RayCaster, camera: CameraModel, base_from_camera: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def seen(
+    caster: RayCaster, camera: CameraModel, base_from_camera: np.ndarray, xyz: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Camera px (n, 2) of points (n, 3), and whether each is in the image and not hidden."""
     pixels = camera.project(transforms.apply(transforms.inverse(base_from_camera), xyz))
     inside = np.isfinite(pixels).all(1) & camera.contains(np.nan_to_num(pixels, nan=-9.0))
@@ -122,11 +131,13 @@ def spot_truth(
     centre_visible = sample_visible[:, 0]
     edge = _cut(xyz, normal, body, sample_visible)
     border = np.nan_to_num(sample_xy, nan=-99.0)
+    paint = lit.reflectance.reshape(count, samples)
+    edge |= paint.max(1) > 1.6 * np.maximum(paint.min(1), 1e-6)
     size = np.array([camera.width - 1, camera.height - 1])
     edge |= ((border < 1.0) | (border > size - 1.0)).any(axis=(1, 2))
 
     weight = (sample_visible & in_disc).astype(float)
-    weight *= np.nan_to_num(np.maximum(cos_proj, 0.0).reshape(count, samples)) + 1e-9
+    weight *= np.nan_to_num(np.maximum(cos_proj, 0.0).reshape(count, samples)) * paint + 1e-9
     total = np.maximum(weight.sum(1), 1e-12)
     known = np.nan_to_num(sample_xy)
     centroid = (weight[..., None] * known).sum(1) / total[:, None]
@@ -134,8 +145,7 @@ def spot_truth(
     cosine = lambda a: np.nan_to_num(a.reshape(count, samples)[:, 0], nan=-1.0).reshape(shape)  # noqa: E731
     cos_theta = 1.0 / np.linalg.norm(projector.rays(centers.reshape(-1, 2)), axis=1)
     centre_distance = distance.reshape(count, samples)[:, 0]
-    reflectance = lit.reflectance.reshape(count, samples)[:, 0]
-    irradiance = np.maximum(cosine(cos_proj).ravel(), 0) / (cos_theta**3 * centre_distance**2) * reflectance
+    irradiance = np.maximum(cosine(cos_proj).ravel(), 0) / (cos_theta**3 * centre_distance**2) * paint[:, 0]
     return SpotTruth(
         xy=sample_xy[:, 0].reshape(*shape, 2),
         visible=centre_visible.reshape(shape),

@@ -30,8 +30,10 @@ class Violations:
 class ViolationCounter:
     """Judges each setpoint of a stream by finite differences over the nominal period.
 
-    Velocity, acceleration and jerk are first, second and third differences of the received positions, which are means of
-    the true derivatives over one to three periods: a stream sampled from a motion within the limits never exceeds them. The only
+    Velocity, acceleration and jerk are first, second and third differences of the received positions, which are
+    means of
+    the true derivatives over one to three periods: a stream sampled from a motion within the limits never exceeds
+        them. The only
     allowance is the rounding of the positions themselves (a few units in the last place of a double, divided by the
     period's power).
     """

@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from sl_common.errors import StructuredLightError
 from tqdm import tqdm
 
 from pattern_gen import Pattern, default_pattern
-from sl_common.errors import StructuredLightError
 from sl_sim import scenes
 from sl_sim.dataset import CAMERAS, render_shot
 from sl_sim.dataset_files import refuse_used, write_image, write_truth
@@ -19,17 +19,30 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="render_dataset",
         description=__doc__,
-        epilog="example: ros2 run sl_sim render_dataset --output held_out --count 40 --seed 7 --scenes bust,boxes --effects lab,dim",
+        epilog="example: ros2 run sl_sim render_dataset --output held_out --count 40 --seed 7 --scenes bust,boxes "
+        "--effects lab,dim",
     )
     listing = lambda names: ", ".join(names)  # noqa: E731
-    parser.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder to write images/, truth/ and pattern.yaml to")
+    parser.add_argument(
+        "--output", required=True, type=Path, metavar="DIR", help="folder to write images/, truth/ and pattern.yaml to"
+    )
     parser.add_argument("--count", type=int, default=20, help="number of images (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="image k uses seed SEED * 10000 + k (default 0)")
-    parser.add_argument("--pattern", type=Path, metavar="FILE.yaml", help="pattern to project (default: the shipped 44x58)")
-    parser.add_argument("--scenes", default="all", help=f"comma-separated, taken in turn: {listing(scenes.NAMES)} (default all)")
-    parser.add_argument("--effects", default="all", help=f"comma-separated, drawn at random: {listing(EFFECTS)} (default all)")
-    parser.add_argument("--cameras", default="vga,vga_barrel,hd", help=f"comma-separated, drawn at random: {listing(CAMERAS)}")
-    parser.add_argument("--oblique", type=float, default=60.0, help="largest angle of view from the object's front [deg] (default 60)")
+    parser.add_argument(
+        "--pattern", type=Path, metavar="FILE.yaml", help="pattern to project (default: the shipped 44x58)"
+    )
+    parser.add_argument(
+        "--scenes", default="all", help=f"comma-separated, taken in turn: {listing(scenes.NAMES)} (default all)"
+    )
+    parser.add_argument(
+        "--effects", default="all", help=f"comma-separated, drawn at random: {listing(EFFECTS)} (default all)"
+    )
+    parser.add_argument(
+        "--cameras", default="vga,vga_barrel,hd", help=f"comma-separated, drawn at random: {listing(CAMERAS)}"
+    )
+    parser.add_argument(
+        "--oblique", type=float, default=60.0, help="largest angle of view from the object's front [deg] (default 60)"
+    )
     parser.add_argument("--near", type=float, default=0.4, help="least distance of the camera [m] (default 0.4)")
     parser.add_argument("--far", type=float, default=0.95, help="largest distance of the camera [m] (default 0.95)")
     return parser

@@ -4,10 +4,10 @@ import argparse
 import sys
 from pathlib import Path
 
+from sl_common.errors import StructuredLightError
 from tqdm import tqdm
 
 from pattern_gen import Pattern, default_pattern
-from sl_common.errors import StructuredLightError
 from sl_sim import scenes
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.dataset_files import refuse_used, write_image, write_json, write_truth
@@ -17,18 +17,36 @@ from sl_sim.motion_set import motion_file, motion_views
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="render_motion", description=__doc__, epilog="example: ros2 run sl_sim render_motion --output motion --views 14 --scene boxes --seed 3"
+        prog="render_motion",
+        description=__doc__,
+        epilog="example: ros2 run sl_sim render_motion --output motion --views 14 --scene boxes --seed 3",
     )
-    parser.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder for images/, truth/, motion.json, pattern.yaml")
+    parser.add_argument(
+        "--output",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="folder for images/, truth/, motion.json, pattern.yaml",
+    )
     parser.add_argument("--views", type=int, default=14, help="number of poses (default 14)")
     parser.add_argument("--scene", default="boxes", help=f"one of {', '.join(scenes.NAMES)} (default boxes)")
     parser.add_argument("--seed", type=int, default=0, help="varies scene, mounting, poses and noise (default 0)")
     parser.add_argument("--effects", default="lab", help=f"one of {', '.join(EFFECTS)} (default lab)")
-    parser.add_argument("--pattern", type=Path, metavar="FILE.yaml", help="pattern to project (default: the shipped 44x58)")
-    parser.add_argument("--pers", type=float, default=1.1, help="Pers coefficient of the lens in focal lengths, 0 = none (default 1.1)")
-    parser.add_argument("--noise-mm", type=float, default=0.1, help="noise of the reported position per axis (default 0.1)")
-    parser.add_argument("--noise-deg", type=float, default=0.02, help="noise of the reported orientation per axis (default 0.02)")
-    parser.add_argument("--oblique", type=float, default=40.0, help="largest angle of view from the object's front [deg] (default 40)")
+    parser.add_argument(
+        "--pattern", type=Path, metavar="FILE.yaml", help="pattern to project (default: the shipped 44x58)"
+    )
+    parser.add_argument(
+        "--pers", type=float, default=1.1, help="Pers coefficient of the lens in focal lengths, 0 = none (default 1.1)"
+    )
+    parser.add_argument(
+        "--noise-mm", type=float, default=0.1, help="noise of the reported position per axis (default 0.1)"
+    )
+    parser.add_argument(
+        "--noise-deg", type=float, default=0.02, help="noise of the reported orientation per axis (default 0.02)"
+    )
+    parser.add_argument(
+        "--oblique", type=float, default=40.0, help="largest angle of view from the object's front [deg] (default 40)"
+    )
     return parser
 
 
