@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 class CalibrationErrors:
     """Standard deviations of a calibration's errors.
 
+    The defaults are those of a good self-calibration from a dozen views: about one and a half times the Cramer-Rao limit at
+    0.1 px of noise. They are drawn independently; errors of a real calibration hang together and cancel in part.
+
     Attributes:
         hand_eye_position: Of each coordinate of flange_from_camera [m].
         hand_eye_rotation: Of each component of its rotation [rad].
@@ -38,12 +41,12 @@ class CalibrationErrors:
         principal_point: Of each coordinate of the principal points [px].
     """
 
-    hand_eye_position: float = 0.3e-3
-    hand_eye_rotation: float = np.radians(0.03)
-    projector_position: float = 0.5e-3
-    projector_rotation: float = np.radians(0.02)
-    focal_length: float = 3e-4
-    principal_point: float = 0.3
+    hand_eye_position: float = 0.25e-3
+    hand_eye_rotation: float = np.radians(0.01)
+    projector_position: float = 0.3e-3
+    projector_rotation: float = np.radians(0.008)
+    focal_length: float = 7e-5
+    principal_point: float = 0.15
 
 
 def perturbed(true: Calibration, seed: int, errors: CalibrationErrors | None = None) -> Calibration:

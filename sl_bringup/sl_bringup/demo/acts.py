@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from action_msgs.msg import GoalStatus
 
 from sl_bringup import nominal_calibration
 from sl_bringup.demo.observer import DECODER
@@ -14,15 +13,28 @@ from sl_bringup.errors import DemoError
 from sl_bringup.terminal import Terminal
 from sl_common.ros.stamps import to_ns
 from sl_msgs.action import PositionArm
+from sl_msgs.msg import PositionerStatus
+
+_START_UP = 120.0
+"""Longest wait for each input after the start [s]: a busy machine takes long to load seven Pythons."""
+
+_ORDERS = 3
+_PASSING = (PositionerStatus.STALE_JOINTS, PositionerStatus.STALE_TARGET, PositionerStatus.LOST_CLOUD)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What came of an order to the arm: its result and the moments [ns] of its beginning and end."""
+    """What came of an order to the arm.
+
+    Attributes:
+        result: Of the action.
+        begin: When it was ordered first [ns].
+        orders: How often it was ordered: again where the arm stopped for a passing reason.
+    """
 
     result: PositionArm.Result
     begin: int
-    end: int
+    orders: int
 
 
 def wait_until_running(session: Session, terminal: Terminal) -> None:
@@ -36,7 +48,7 @@ def wait_until_running(session: Session, terminal: Terminal) -> None:
         ("correspondences", "decoded dots (decoder)"),
     ):
         session.wait_for(
-            lambda topic=topic: topic in observer.latest, 60.0, what, lambda what=what: f"waiting for {what}"
+            lambda topic=topic: topic in observer.latest, _START_UP, what, lambda what=what: f"waiting for {what}"
         )
     session.wait_for(lambda: observer.truth is not None, 20.0, "the cell's truth, for the report")
     image = observer.latest["camera/image_raw"]
@@ -73,11 +85,30 @@ def look(session: Session, terminal: Terminal, clouds: int = 5) -> None:
 
 
 def position(session: Session, terminal: Terminal, *, standoff: float, duration: float) -> Motion:
-    """Order the arm to the object and watch it get there; raises DemoError when it does not."""
+    """Order the arm to the object and watch it get there.
+
+    An order that ended because a joint state or a cloud came late, as it happens on a busy machine, is repeated as a user would.
+    Raises DemoError when the arm does not get there.
+    """
     observer = session.observer
-    client = observer.position_arm
-    session.wait_for(client.server_is_ready, 20.0, "the action ~/position_arm (positioner)")
+    session.wait_for(observer.position_arm.server_is_ready, 20.0, "the action ~/position_arm (positioner)")
     terminal.step(f"positioning: to {1e3 * standoff:.0f} mm before the object, along its normal")
+    begin = observer.get_clock().now().nanoseconds
+    for order in range(1, _ORDERS + 1):
+        result = _order(session, terminal, PositionArm.Goal(standoff=standoff, duration=duration))
+        if result.success:
+            terminal.step(f"arrived after {result.duration:.1f} s: {result.message}")
+            return Motion(result, begin, order)
+        if result.code not in _PASSING or order == _ORDERS:
+            break
+        terminal.step(f"stopped within the limits: {result.message}; ordering again")
+        session.wait(1.0)
+    raise DemoError(f"the motion ended with code {result.code}: {result.message}")
+
+
+def _order(session: Session, terminal: Terminal, goal: PositionArm.Goal) -> PositionArm.Result:
+    """Send one goal and return its result; raises DemoError where it is refused or never ends."""
+    observer = session.observer
     latest: list[PositionArm.Feedback] = []
 
     def feedback(message: PositionArm.Impl.FeedbackMessage) -> None:
@@ -93,21 +124,15 @@ def position(session: Session, terminal: Terminal, *, standoff: float, duration:
             f"condition {f.condition_number:.0f}; {f.time_remaining:.1f} s"
         )
 
-    begin = observer.get_clock().now().nanoseconds
-    sent = client.send_goal_async(PositionArm.Goal(standoff=standoff, duration=duration), feedback_callback=feedback)
+    sent = observer.position_arm.send_goal_async(goal, feedback_callback=feedback)
     session.wait_for(sent.done, 10.0, "an answer of the positioner to the goal")
     handle = sent.result()
     if not handle.accepted:
         reason = observer.record.statuses[-1][2] if observer.record.statuses else "no reason given"
         raise DemoError(f"the positioner refused the goal: {reason}")
     outcome = handle.get_result_async()
-    session.wait_for(outcome.done, 30.0 + 3 * duration, "the end of the motion", live)
-    answer = outcome.result()
-    end = observer.get_clock().now().nanoseconds
-    if answer.status != GoalStatus.STATUS_SUCCEEDED or not answer.result.success:
-        raise DemoError(f"the motion ended with code {answer.result.code}: {answer.result.message}")
-    terminal.step(f"arrived after {answer.result.duration:.1f} s: {answer.result.message}")
-    return Motion(answer.result, begin, end)
+    session.wait_for(outcome.done, 60.0 + 3 * goal.duration, "the end of the motion", live)
+    return outcome.result().result
 
 
 def look_closely(session: Session, terminal: Terminal, clouds: int = 5) -> None:

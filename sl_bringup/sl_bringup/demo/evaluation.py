@@ -137,7 +137,8 @@ def pose_errors(
 def surface_ahead(cell: Cell, base_from_camera: Array, base_from_object: Array | None = None) -> tuple[float, Array]:
     """Return the distance [m] to the true surface along the optical axis and the surface's unit normal (3,) there.
 
-    The normal is that of a quadric fitted to the true surface within :data:`_NORMAL_RADIUS` around the point.
+    The normal is that of a quadric fitted to the true surface within :data:`_NORMAL_RADIUS` around the point; what lies behind
+    an edge does not count.
     """
     origin, axes = base_from_camera[:3, 3], base_from_camera[:3, :3]
     hit, _ = cell.surface_along_rays(origin, axes[None, :, 2], base_from_object=base_from_object)
@@ -152,9 +153,20 @@ def surface_ahead(cell: Cell, base_from_camera: Array, base_from_object: Array |
     near = np.isfinite(local).all(axis=1) & (np.linalg.norm(local, axis=1) <= _NORMAL_RADIUS)
     u, v, w = local[near].T / _NORMAL_RADIUS
     design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-    coefficients, *_ = np.linalg.lstsq(design, w, rcond=None)
+    coefficients = _robust_solution(design, w)
     normal = axes @ np.array([coefficients[1], coefficients[2], -1.0])
     return distance, normal / np.linalg.norm(normal)
+
+
+def _robust_solution(design: Array, values: Array) -> Array:
+    """Return the solution (6,) of least absolute deviations, by reweighting: it holds to the surface that the middle is on."""
+    weight = np.exp(-4.0 * (design[:, 1] ** 2 + design[:, 2] ** 2))
+    solution = np.zeros(design.shape[1])
+    w = weight
+    for _ in range(50):
+        solution, *_ = np.linalg.lstsq(design * np.sqrt(w)[:, None], values * np.sqrt(w), rcond=None)
+        w = weight / np.maximum(np.abs(values - design @ solution), 1e-5)
+    return solution
 
 
 def _at(poses: dict[int, Array], stamp: int) -> Array | None:

@@ -65,6 +65,7 @@ def _arm_rows(record: Record, truth: Truth, cell: Cell, motion: Motion | None, s
         Row("camera orientation against the commanded pose", np.degrees(values[1]), "deg", limit_deg),
         Row("stand-off from the true surface, error", 1e3 * values[2], "mm", limit_mm),
         Row("optical axis against the true surface normal", np.degrees(values[3]), "deg", limit_deg),
+        Row("orders until the arm arrived", motion.orders if motion else np.nan, "", digits=0),
         Row("setpoints received by the driver", report["setpoints"], "", digits=0),
         Row("limit violations counted by the driver", truth.violations, "", 0.0, digits=0),
     ]

@@ -16,12 +16,15 @@ def executable(package: str, node: str, **parameters: object) -> Executable:
 
 
 def chain(calibration_folder: Path) -> list[Executable]:
-    """Return the nodes that a real cell runs too: projector to setpoints."""
+    """Return the nodes that a real cell runs too: projector to setpoints.
+
+    The positioner waits longer for a cloud than in front of a real camera: on a busy machine an image is rendered in a second.
+    """
     return [
         executable("pattern_gen", "pattern_publisher"),
         executable("sl_decoder", "decoder"),
         executable("sl_calibration", "triangulator", calibration_folder=calibration_folder),
-        executable("arm_positioner", "positioner", calibration_folder=calibration_folder),
+        executable("arm_positioner", "positioner", calibration_folder=calibration_folder, cloud_timeout=4.0),
     ]
 
 
