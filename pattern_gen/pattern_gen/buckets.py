@@ -49,7 +49,9 @@ def cell_classes(rotations: NDArray[np.int64], cells: NDArray[np.int64] | None =
     return CellClasses(inverse, class_of, place_of, turn_of)
 
 
-def choose_keys(cells: int, alphabet: int, h: int, entries: int, classes: int, *, scan_cost: float) -> list[tuple[int, ...]]:
+def choose_keys(
+    cells: int, alphabet: int, h: int, entries: int, classes: int, *, scan_cost: float
+) -> list[tuple[int, ...]]:
     """Cells (0..cells-1) of each table's key, for the least expected work; empty: compare with all codes.
 
     Args:

@@ -239,9 +239,7 @@ def search(state: State, order: FillOrder, rules: Rules, steps: int) -> int:
     return DONE if count[DEPTH] == total else RUNNING
 
 
-def prepare(
-    order: FillOrder, rules: Rules, *, geometry: WindowGeometry, turns: int, seed: int
-) -> State:
+def prepare(order: FillOrder, rules: Rules, *, geometry: WindowGeometry, turns: int, seed: int) -> State:
     """The empty state of a search.
 
     Args:

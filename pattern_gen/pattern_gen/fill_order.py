@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from pattern_gen.pattern import Grid
 from pattern_gen.windows import WindowGeometry
 
-HEXAGONAL_ASPECT = 8.0 / (3.0 * np.sqrt(3.0))  # columns per row of a 4:3 image: columns are closer together, section II.D
+HEXAGONAL_ASPECT = 8.0 / (
+    3.0 * np.sqrt(3.0)
+)  # columns per row of a 4:3 image: columns are closer together, section II.D
 _CHUNK = 100_000
 
 

@@ -63,7 +63,9 @@ class Request:
         if self.window < 3 or self.window % 2 == 0:
             raise SearchError(f"window {self.window} must be odd and at least 3")
         if not 1 <= self.h <= cells:
-            raise SearchError(f"Hamming distance {self.h} is impossible: a window has {cells} cells; ask for 1 to {cells}")
+            raise SearchError(
+                f"Hamming distance {self.h} is impossible: a window has {cells} cells; ask for 1 to {cells}"
+            )
         if self.band is not None and self.band < 0:
             raise SearchError(f"band {self.band} must be 0 rows or more")
 

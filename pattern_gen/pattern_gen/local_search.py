@@ -89,7 +89,9 @@ def _remove(tables: Tables, table_class: int, table: int, entry: int, capacity: 
 
 
 @njit(cache=True)
-def _near(state: State, tables: Tables, capacity: int, h: int, entry: int, table_class: int, number: int, count: int) -> int:
+def _near(
+    state: State, tables: Tables, capacity: int, h: int, entry: int, table_class: int, number: int, count: int
+) -> int:
     """Append the codes at distance below h from code `entry`, without the class's cell, to state.found[count:]."""
     bits = state.pack[0]
     query = state.codes[entry]
@@ -205,7 +207,15 @@ def build(state: State, tables: Tables, capacity: int, h: int, own: int) -> bool
 
 @njit(cache=True)
 def _recolour(
-    state: State, tables: Tables, capacity: int, alphabet: int, h: int, own: int, weights: NDArray[np.float64], row: int, col: int
+    state: State,
+    tables: Tables,
+    capacity: int,
+    alphabet: int,
+    h: int,
+    own: int,
+    weights: NDArray[np.float64],
+    row: int,
+    col: int,
 ) -> bool:
     """Draw the letter of one cell from the heat bath. False: a bucket overflowed."""
     rows, cols = state.symbols.shape
@@ -316,7 +326,14 @@ def _recolour(
 
 @njit(cache=True)
 def run(
-    state: State, tables: Tables, capacity: int, alphabet: int, h: int, own: int, weights: NDArray[np.float64], steps: int
+    state: State,
+    tables: Tables,
+    capacity: int,
+    alphabet: int,
+    h: int,
+    own: int,
+    weights: NDArray[np.float64],
+    steps: int,
 ) -> bool:
     """Take up to `steps` steps; stops when no conflict is left. False: a bucket overflowed, build again with more room."""
     rows, cols = state.symbols.shape
@@ -344,7 +361,15 @@ class LocalSearch:
     """
 
     def __init__(
-        self, symbols: NDArray[np.uint8], *, geometry: WindowGeometry, alphabet: int, h: int, own: int, turns: int, seed: int
+        self,
+        symbols: NDArray[np.uint8],
+        *,
+        geometry: WindowGeometry,
+        alphabet: int,
+        h: int,
+        own: int,
+        turns: int,
+        seed: int,
     ) -> None:
         """`own`: least distance of a window from its own rotations (0: any); `turns`: rotations considered, 1: none."""
         self.geometry, self.alphabet, self.h, self.own = geometry, alphabet, h, own
@@ -375,9 +400,7 @@ class LocalSearch:
             self._spare *= 2.0
             self.tables, self.capacity = self._make_tables(classes.place_of, keys, entries)
 
-    def _make_tables(
-        self, places: NDArray[np.int64], keys: list[tuple[int, ...]], entries: int
-    ) -> tuple[Tables, int]:
+    def _make_tables(self, places: NDArray[np.int64], keys: list[tuple[int, ...]], entries: int) -> tuple[Tables, int]:
         weights, starts, buckets = table_layout(keys, places, self.geometry.size, self.alphabet)
         densest = max((entries / self.alphabet ** len(key) for key in keys), default=0.0)
         capacity = int(self._spare * (densest + 6.0 * np.sqrt(densest) + 8.0))

@@ -134,7 +134,11 @@ def _paper(
     """Section II.B as written: lowest letter first, chronological back-tracking, growth by columns and rows."""
     geometry = window_geometry(request.grid, request.window)
     if rows is not None and cols is not None:
-        sizes = [size for size in growth_sizes(request.window, cols / rows, rows * cols) if size[0] <= rows and size[1] <= cols]
+        sizes = [
+            size
+            for size in growth_sizes(request.window, cols / rows, rows * cols)
+            if size[0] <= rows and size[1] <= cols
+        ]
         while sizes[-1] != (rows, cols):
             last_rows, last_cols = sizes[-1]
             sizes.append((last_rows, last_cols + 1) if last_cols < cols else (last_rows + 1, last_cols))

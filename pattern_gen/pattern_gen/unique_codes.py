@@ -227,7 +227,9 @@ def prepare_unique(order: FillOrder, rules: Rules, *, geometry: WindowGeometry, 
     n, cells = geometry.size, len(order.cells)
     codes = rules.alphabet**n
     if codes >= 2**63:
-        raise SearchError(f"{rules.alphabet} letters in windows of {n} cells give more than 2^63 codes: use fewer letters")
+        raise SearchError(
+            f"{rules.alphabet} letters in windows of {n} cells give more than 2^63 codes: use fewer letters"
+        )
     rotations = geometry.rotations[:turns]
     large = codes > MAX_BITS
     stored = len(order.windows) * turns

@@ -68,9 +68,7 @@ class Verification:
                 first, second = pair.first.describe(self.orientations), pair.second.describe(self.orientations)
                 if what == "windows":
                     return f"the windows at {first} and at {second} differ in {pair.distance} cells, not in {limit}"
-                return (
-                    f"the window at {first} differs from itself, {second}, in {pair.distance} cells, not in {limit}"
-                )
+                return f"the window at {first} differs from itself, {second}, in {pair.distance} cells, not in {limit}"
         return None
 
 

@@ -75,7 +75,9 @@ def _hexagonal(window: int) -> WindowGeometry:
         rotations.append(rotations[-1][sixth])
     # height in rows = r + q / 2; a cell in an odd column lies half a row lower than its row number says
     offsets = [[(r + (q + parity) // 2, q) for q, r in axial] for parity in (0, 1)]
-    return WindowGeometry(Grid.HEXAGONAL, window, np.array(offsets, dtype=np.int64), np.array(rotations, dtype=np.int64))
+    return WindowGeometry(
+        Grid.HEXAGONAL, window, np.array(offsets, dtype=np.int64), np.array(rotations, dtype=np.int64)
+    )
 
 
 @cache

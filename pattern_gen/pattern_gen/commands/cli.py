@@ -52,7 +52,9 @@ class ProgressLine:
         if progress.seconds < 2.0 or not sys.stderr.isatty():
             return
         if self._bar is None:
-            self._bar = tqdm(total=self._limit, unit="s", bar_format="{desc} |{bar}| {n:.0f}/{total:.0f} s", leave=False)
+            self._bar = tqdm(
+                total=self._limit, unit="s", bar_format="{desc} |{bar}| {n:.0f}/{total:.0f} s", leave=False
+            )
         best = "none yet" if progress.best is None else f"{progress.best[0]}x{progress.best[1]}"
         self._bar.set_description_str(
             f"best {best}, trying {progress.rows}x{progress.cols} ({100 * progress.filled:.0f} %)", refresh=False

@@ -25,7 +25,9 @@ def make_parser() -> argparse.ArgumentParser:
         epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--letters", type=int, required=True, help="size of the alphabet, 2 to 36")
-    parser.add_argument("--hamming", type=int, default=1, help="least number of differing spots of two windows (default 1)")
+    parser.add_argument(
+        "--hamming", type=int, default=1, help="least number of differing spots of two windows (default 1)"
+    )
     parser.add_argument("--grid", choices=[grid.value for grid in Grid], default="square", help="default square")
     parser.add_argument("--window", type=int, default=3, help="window size, odd (default 3)")
     parser.add_argument("--rows", type=int, help="with --cols: the size of the map")
@@ -41,7 +43,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="of the random choices; the same seed gives the same map")
     parser.add_argument("--time-limit", type=float, default=10.0, help="of the search in s (default 10)")
     parser.add_argument("--projector", type=size, default=(1024, 768), metavar="WxH", help="default 1024x768")
-    parser.add_argument("--monochrome", action="store_true", help="letters for a camera without colour: shapes and intensities")
+    parser.add_argument(
+        "--monochrome", action="store_true", help="letters for a camera without colour: shapes and intensities"
+    )
     parser.add_argument("--output", type=Path, required=True, help="the pattern file (YAML)")
     return parser
 
