@@ -14,7 +14,7 @@ setup(
     zip_safe=False,
     maintainer="The structured-light positioning maintainers",
     maintainer_email="maintainers@example.org",
-    description="Positions an eye-in-hand camera in front of an object seen in a point cloud, within the limits of the arm.",
+    description="Positions an eye-in-hand camera in front of an object, within the limits of the arm.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -14,8 +14,8 @@ _OUTLIERS = 3
 class TargetFilter:
     """A critically damped g-h filter over poses: constant velocity, exponentially fading memory.
 
-    Measurements come with delay and at irregular times; :meth:`at` extrapolates the pose to the present, so that a steadily
-    moving target is met without lag. A single measurement far off is ignored.
+    Measurements come with delay and at irregular times; :meth:`at` extrapolates the pose to the present, so that a
+    steadily moving target is met without lag. A single measurement far off is ignored.
     """
 
     def __init__(

@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 class SetpointGuard:
     """Compares each setpoint with the ones that left before it.
 
-    Velocity, acceleration and jerk are the first, second and third differences of the positions over the control period,
-    which is what a driver sees. The claimed velocity and acceleration have to agree with the differences, because a stop
-    is planned from them, and a stop from the setpoint has to end inside the position limits.
+    Velocity, acceleration and jerk are the first, second and third differences of the positions over the control
+    period, which is what a driver sees. The claimed velocity and acceleration have to agree with the differences,
+    because a stop is planned from them, and a stop from the setpoint has to end inside the position limits.
 
     Attributes:
         last: The last accepted state; None before :meth:`reset`.

@@ -27,7 +27,8 @@ class HandEye:
     def refresh(self) -> bool:
         """Read the file if it is new or has changed; returns whether anything changed.
 
-        A file that cannot be read leaves the last good transform in use and says so in ``problem`` only if there was none.
+        A file that cannot be read leaves the last good transform in use and says so in ``problem`` only if there was
+        none.
         """
         if self._path is None:
             return False

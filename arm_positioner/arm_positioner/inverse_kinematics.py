@@ -67,7 +67,9 @@ class InverseKinematics:
         self._lower = np.asarray(lower, dtype=np.float64)
         self._upper = np.asarray(upper, dtype=np.float64)
         self._options = options or SolverOptions()
-        middle = np.where(np.isfinite(self._upper), 0.5 * (np.maximum(self._lower, -1e6) + np.minimum(self._upper, 1e6)), 0.0)
+        middle = np.where(
+            np.isfinite(self._upper), 0.5 * (np.maximum(self._lower, -1e6) + np.minimum(self._upper, 1e6)), 0.0
+        )
         self._is_revolute = np.linalg.norm(kinematics.jacobian(middle)[3:], axis=0) > 0.5
         self._speed = np.where(np.isfinite(kinematics.max_velocity), kinematics.max_velocity, 1.0)
 
@@ -173,6 +175,6 @@ class InverseKinematics:
     def _complaint(self, target: Array, best: Solution) -> str:
         x, y, z = target[:3, 3]
         return (
-            f"pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach within the joint limits: the nearest try misses it by "
-            f"{1e3 * best.position_error:.1f} mm and {np.degrees(best.rotation_error):.2f} deg"
+            f"pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach within the joint limits: the nearest try "
+            f"misses it by {1e3 * best.position_error:.1f} mm and {np.degrees(best.rotation_error):.2f} deg"
         )

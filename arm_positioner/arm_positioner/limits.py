@@ -72,7 +72,7 @@ class JointLimits:
         )
 
     def inside(self, margin: float) -> tuple[Array, Array]:
-        """Return lower and upper position limits (n,) moved inwards by ``margin``, at most to a quarter of the range."""
+        """Return lower and upper limits (n,) moved inwards by ``margin``, at most by a quarter of the range."""
         shift = np.minimum(margin, 0.25 * (self.upper - self.lower))
         return self.lower + shift, self.upper - shift
 

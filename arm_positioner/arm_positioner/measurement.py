@@ -84,7 +84,7 @@ class CommandHistory:
             self._samples.popleft()
 
     def deviation(self, time: float, measured: Array) -> Array:
-        """Return how far positions (n,) measured at ``time`` are outside what was commanded over the lag before [rad or m]."""
+        """Return how far positions (n,) measured at ``time`` are off what was commanded in the lag before."""
         begin = time - self._lag
         inside = [q for t, q in self._samples if begin <= t <= time + 0.02]
         older = [q for t, q in self._samples if t < begin]

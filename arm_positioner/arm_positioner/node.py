@@ -67,14 +67,20 @@ class PositionerNode(Node):
         self._subscribe(PointCloud2, "points", self._on_cloud, STREAM_SUBSCRIBE)
         group = ReentrantCallbackGroup()
         self.create_subscription(
-            PoseStamped, "~/target_pose", self._on_target, STREAM_SUBSCRIBE, callback_group=MutuallyExclusiveCallbackGroup()
+            PoseStamped,
+            "~/target_pose",
+            self._on_target,
+            STREAM_SUBSCRIBE,
+            callback_group=MutuallyExclusiveCallbackGroup(),
         )
         self.create_service(SetBool, "~/pause", self._on_pause, callback_group=group)
         self.create_service(Trigger, "~/stop", self._on_stop, callback_group=group)
         self.create_timer(0.1, self._publish_status, callback_group=MutuallyExclusiveCallbackGroup())
         self.create_timer(1.0, self._check_files, callback_group=MutuallyExclusiveCallbackGroup())
         if self._hand_eye.problem:
-            self.get_logger().warning(f"{self._hand_eye.problem}; until then camera poses are poses of {s.flange_frame}")
+            self.get_logger().warning(
+                f"{self._hand_eye.problem}; until then camera poses are poses of {s.flange_frame}"
+            )
 
     def _subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         self.create_subscription(kind, topic, callback, qos, callback_group=MutuallyExclusiveCallbackGroup())
@@ -121,7 +127,9 @@ class PositionerNode(Node):
         self._supervisor = supervisor
         self._loop = SetpointLoop(s.period, self._tick)
         self._loop.start()
-        self.get_logger().info(f"arm with joints {', '.join(arm.joint_names)}; {s.command_interface} at {1 / s.period:g}/s")
+        self.get_logger().info(
+            f"arm with joints {', '.join(arm.joint_names)}; {s.command_interface} at {1 / s.period:g}/s"
+        )
 
     def _tick(self) -> None:
         """One control period, in the setpoint thread."""
@@ -260,4 +268,3 @@ def main() -> int:
 
 if __name__ == "__main__":
     sys.exit(main())
-

@@ -56,8 +56,8 @@ class Planner:
             current: (n,) joint positions now [rad or m].
             preview: Plans the motion to joint positions (n,) without starting it.
 
-        Raises InvalidGoalError, UnreachableError, JointLimitError or SingularityError; the last two say what is wrong with
-        the nearest solution.
+        Raises InvalidGoalError, UnreachableError, JointLimitError or SingularityError; the last two say what is wrong
+        with the nearest solution.
         """
         refused: PositionerError | None = None
         for solution in self._candidates(self._tip(base_from_camera, flange_from_camera), current):
@@ -70,7 +70,7 @@ class Planner:
         raise refused
 
     def follow(self, base_from_camera: Array, flange_from_camera: Array, current: Array) -> Solution:
-        """Return the joint positions for a target that moved a little, reached from ``current`` without a change of posture.
+        """Return the joint positions for a target that moved a little, found from ``current`` in the same posture.
 
         Raises InvalidGoalError, UnreachableError or SingularityError.
         """
@@ -102,7 +102,7 @@ def require_regular_motion(kinematics: Kinematics, trajectory: Trajectory, thres
 
 
 def require_regular(kinematics: Kinematics, path: Array, thresholds: SingularityThresholds) -> float:
-    """Return the worst condition number along joint positions (N, n); raises SingularityError where it is not allowed."""
+    """Return the worst condition number at joint positions (N, n); raises SingularityError where it is not allowed."""
     conditions = conditions_along(kinematics, path)
     bad = first_violation(conditions, thresholds)
     if bad >= 0:

@@ -18,8 +18,8 @@ _SWITCH_INTERVAL = 5e-4
 class SetpointLoop:
     """Calls a function every period from a thread of its own.
 
-    A tick that comes late shifts the grid: it is neither made up for by a second one close behind, nor skipped, since both
-    would look to the driver like a jump.
+    A tick that comes late shifts the grid: it is neither made up for by a second one close behind, nor skipped, since
+    both would look to the driver like a jump.
     """
 
     def __init__(self, period: float, tick: Callable[[], None]) -> None:

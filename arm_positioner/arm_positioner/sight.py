@@ -54,7 +54,7 @@ class Sight:
         return self._latest
 
     def look(self, sighting: Sighting, options: TargetOptions, *, anchor: Array | None = None) -> Target:
-        """Return the target in a cloud, as it is; see :func:`arm_positioner.target.find_target` for ``anchor`` and errors."""
+        """Return the target in a cloud, as it is; see :func:`.target.find_target` for ``anchor`` and errors."""
         with self._lock:
             previous = self._latest
         target = find_target(

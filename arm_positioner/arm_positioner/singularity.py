@@ -27,7 +27,7 @@ class SingularityThresholds:
     least_speed: float = 0.1
 
     def speed(self, condition: float) -> float:
-        """Return the factor on the velocity limits at a condition number, falling linearly from 1 to ``least_speed``."""
+        """Return the factor on the velocity limits at a condition number: linear, from 1 to ``least_speed``."""
         if not condition > self.slow:
             return 1.0
         share = min((condition - self.slow) / (self.stop - self.slow), 1.0)
@@ -35,7 +35,7 @@ class SingularityThresholds:
 
 
 def condition_number(jacobian: Array) -> Array:
-    """Return the condition numbers [1] of geometric Jacobians (..., 6, n): linear rows in m, angular in rad; inf: singular."""
+    """Return the condition numbers [1] of geometric Jacobians (..., 6, n) in m and rad; inf: singular."""
     values = np.linalg.svd(jacobian, compute_uv=False)
     smallest = values[..., -1]
     return np.where(smallest > 1e-12, values[..., 0] / np.maximum(smallest, 1e-12), np.inf)

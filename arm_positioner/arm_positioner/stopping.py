@@ -1,7 +1,7 @@
 """How far a joint still travels when it is brought to rest as fast as acceleration and jerk limits allow.
 
-Closed form of the time-optimal stop of a jerk-limited joint, apart from the trajectory generator on purpose: the planner
-uses it to keep every state stoppable before a position limit, the guard to verify that.
+Closed form of the time-optimal stop of a jerk-limited joint, apart from the trajectory generator on purpose: the
+planner uses it to keep every state stoppable before a position limit, the guard to verify that.
 """
 
 import numpy as np

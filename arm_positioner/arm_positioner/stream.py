@@ -28,9 +28,7 @@ class SetpointStream:
         self.limits = limits
         self.period = period
         self.fault = ""
-        self._planning = limits.scaled(
-            velocity=_PLANNING_SHARE, acceleration=_PLANNING_SHARE, jerk=_PLANNING_SHARE
-        )
+        self._planning = limits.scaled(velocity=_PLANNING_SHARE, acceleration=_PLANNING_SHARE, jerk=_PLANNING_SHARE)
         self._guard = SetpointGuard(limits, period)
         self._state: MotionState | None = None
         self._trajectory: Trajectory | None = None
@@ -117,9 +115,10 @@ class SetpointStream:
         return state
 
     def outlook(self, horizon: float) -> list[MotionState]:
-        """Return the setpoints to come, one per period: ``horizon`` [s] of the present trajectory, then the stop from there.
+        """Return the setpoints to come, one per period.
 
-        Whoever executes them and hears nothing more comes to rest within the limits. Empty at rest.
+        They follow the present trajectory for ``horizon`` [s] and then stop from there: whoever executes them and hears
+        nothing more comes to rest within the limits. Empty at rest.
         """
         if self._trajectory is None:
             return []

@@ -428,4 +428,3 @@ class Supervisor:
 
     def _report(self, code: Code, message: str) -> None:
         self.code, self.message = code, message
-

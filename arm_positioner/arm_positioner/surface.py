@@ -11,6 +11,9 @@ Array = NDArray[np.float64]
 
 _PARAMETERS = 6  # of the quadric
 _TUKEY = 4.685  # 95 % efficiency for normal noise
+_AGREEMENT = 2.0
+"""Standard deviations within which neighbourhoods of different size have to agree."""
+_ROUNDING = np.array([1e-5, 1e-4, 1e-4])  # m, rad, rad
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +46,7 @@ class SurfacePatch:
         tangents: (2, 3) the two tangents.
         radius: Of the neighbourhood used [m].
         count: Number of inliers.
-        rms: Of their distances from the surface [m].
+        rms: Of their distances from the surface, corrected for the fit's freedom [m].
     """
 
     point: Array
@@ -60,9 +63,9 @@ def fit_patch(
 ) -> SurfacePatch:
     """Fit a quadric z = a + b x + c y + d x^2 + e x y + f y^2 around ``centre`` and return its point and normal there.
 
-    The radius follows the data: it grows while the surface still fits as well as it does in the smallest neighbourhood, so
-    that a flat face averages many dots and a curved one only as many as a quadric can describe. Outliers are found by a
-    least-median-of-squares plane and weighted down by Tukey's function.
+    The radius follows the data: it grows while point and normal stay within the uncertainty of every smaller
+    neighbourhood (Lepski's rule), so that a flat face averages many dots and a curved one only as many as a quadric can
+    describe. Outliers are found by a least-median-of-squares plane and weighted down by Tukey's function.
 
     Args:
         points: (N, 3) points of one coherent patch [m].
@@ -78,29 +81,36 @@ def fit_patch(
     distance = np.linalg.norm(points - centre, axis=1)
     order = np.argsort(distance, kind="stable")
     distance = distance[order]
-    best: SurfacePatch | None = None
-    noise = np.inf
+    accepted: list[SurfacePatch] = []
     failure = ""
-    radius = max(3.0 * spacing, float(distance[min(2 * options.min_points, len(distance)) - 1]) if len(distance) else 0.0)
+    first = min(2 * options.min_points, len(distance)) - 1
+    radius = max(3.0 * spacing, float(distance[first]) if len(distance) else 0.0)
     while True:
         near = order[: int(np.searchsorted(distance, radius, side="right"))]
         try:
             patch = _fit(points[near], weights[near], centre, viewpoint, radius, options)
-            noise = min(noise, patch.rms)
-            if best is None or patch.rms <= 1.3 * noise + 1e-5:
-                best = patch
-            else:
+            if not all(_agrees(patch, smaller) for smaller in accepted):
                 break
+            accepted.append(patch)
         except TargetError as error:
-            if best is not None:
-                break
             failure = str(error)
+            if accepted:
+                break
         if len(near) == len(points) or radius > 20 * spacing:
             break
-        radius *= 1.3
-    if best is None:
+        radius *= 1.25
+    if not accepted:
         raise TargetError(failure)
-    return best
+    return accepted[-1]
+
+
+def _agrees(patch: SurfacePatch, smaller: SurfacePatch) -> bool:
+    """Whether a larger patch's point and normal lie within the uncertainty of a smaller one."""
+    noisier = max(1.0, patch.rms / max(smaller.rms, 1e-12))
+    sigma = noisier * np.sqrt(np.maximum(np.diag(smaller.covariance), 0.0))
+    off = np.concatenate([[(patch.point - smaller.point) @ smaller.normal], smaller.tangents @ patch.normal])
+    off[1:] -= smaller.tangents @ smaller.normal
+    return bool((np.abs(off) <= _AGREEMENT * sigma + _ROUNDING).all())
 
 
 def _fit(
@@ -108,8 +118,8 @@ def _fit(
 ) -> SurfacePatch:
     if len(points) < options.min_points:
         raise TargetError(
-            f"only {len(points)} points within {1e3 * radius:.0f} mm of the object's centre, at least {options.min_points} "
-            "are needed; move the camera so that more of the pattern is seen on the object"
+            f"only {len(points)} points within {1e3 * radius:.0f} mm of the object's centre, at least "
+            f"{options.min_points} are needed; move the camera so that more of the pattern is seen on the object"
         )
     origin, normal = _robust_plane(points, weights)
     sight = viewpoint - origin
@@ -125,7 +135,6 @@ def _fit(
     count = int(np.count_nonzero(used))
     share = count / len(points)
     gradient = solution[1:3] / radius
-    rms = float(np.sqrt(np.mean((z - design @ solution)[used] ** 2))) if count else np.inf
     outward = normal - gradient @ tangents
     outward /= np.linalg.norm(outward)
     patch = SurfacePatch(
@@ -135,7 +144,7 @@ def _fit(
         tangents,
         radius,
         count,
-        rms,
+        sigma if count else np.inf,
     )
     _judge(patch, share, viewpoint, options)
     return patch
@@ -150,7 +159,8 @@ def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOpti
         )
     if not patch.rms <= options.max_rms:
         raise TargetError(
-            f"surface fit refused: RMS {1e3 * patch.rms:.2f} mm over {patch.count} points, limit {1e3 * options.max_rms:.2f} mm"
+            f"surface fit refused: RMS {1e3 * patch.rms:.2f} mm over {patch.count} points, "
+            f"limit {1e3 * options.max_rms:.2f} mm"
         )
     tilt_sigma = float(np.sqrt(max(np.linalg.eigvalsh(patch.covariance[1:, 1:])[-1], 0.0)))
     if not tilt_sigma <= options.max_normal_sigma:
@@ -162,8 +172,8 @@ def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOpti
     tilt = float(np.arccos(np.clip(patch.normal @ sight / np.linalg.norm(sight), -1, 1)))
     if tilt > options.max_tilt:
         raise TargetError(
-            f"surface seen at {np.degrees(tilt):.0f} deg from its normal, limit {np.degrees(options.max_tilt):.0f} deg; "
-            "move the camera to face it"
+            f"surface seen at {np.degrees(tilt):.0f} deg from its normal, limit "
+            f"{np.degrees(options.max_tilt):.0f} deg; move the camera to face it"
         )
 
 

@@ -1,7 +1,7 @@
 """Where the camera should be: in front of the object, at a stand-off along its surface normal.
 
-"Using the 3D point cloud, we calculate a target point for the robot to move to, just in front of the object" (the paper,
-section III.B). All in the robot's base frame.
+"Using the 3D point cloud, we calculate a target point for the robot to move to, just in front of the object" (the
+paper, section III.B). All in the robot's base frame.
 """
 
 from dataclasses import dataclass, field
@@ -23,8 +23,8 @@ class TargetOptions:
 
     Attributes:
         standoff: Distance of the camera from the surface along its normal [m].
-        roll: Angle about the optical axis [rad], 0: the image is upright (its up is the base's z); None: the orientation that
-            needs the least rotation of the camera.
+        roll: Angle about the optical axis [rad], 0: the image is upright (its up is the base's z); None: the
+            orientation that needs the least rotation of the camera.
         min_confidence: Points below it are ignored.
         min_object_points: Patches with fewer points are no objects.
         fit: When the surface fit is good enough.
@@ -84,7 +84,8 @@ def find_target(
     keep = np.isfinite(xyz).all(axis=1) & np.isfinite(weight) & (weight >= options.min_confidence)
     if np.count_nonzero(keep) < options.min_object_points:
         raise TargetError(
-            f"{np.count_nonzero(keep)} usable points of {n} in the cloud, at least {options.min_object_points} are needed"
+            f"{np.count_nonzero(keep)} usable points of {n} in the cloud, at least "
+            f"{options.min_object_points} are needed"
         )
     xyz, weight = xyz[keep], weight[keep]
     rows = None if row is None else np.asarray(row)[keep]
@@ -96,8 +97,8 @@ def find_target(
     )
     if chosen.size == 0:
         raise TargetError(
-            f"no coherent object: the largest of {labels.max() + 1} patches has {np.bincount(labels).max()} points, at least "
-            f"{options.min_object_points} are needed"
+            f"no coherent object: the largest of {labels.max() + 1} patches has {np.bincount(labels).max()} points, "
+            f"at least {options.min_object_points} are needed"
         )
     patch_points, patch_weight = xyz[chosen], weight[chosen]
     middle = np.median(patch_points, axis=0) if anchor is None else np.asarray(anchor, dtype=np.float64)
@@ -137,7 +138,7 @@ def facing_pose(
 
 
 def _least_rotation(a: Array, b: Array) -> Array:
-    """Return the rotation (3, 3) of least angle that takes unit vector a to b; half a turn about any axis if opposite."""
+    """Return the rotation (3, 3) of least angle from unit vector a to b; half a turn about any axis if opposite."""
     axis = np.cross(a, b)
     sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
     if sine < 1e-12:

@@ -60,7 +60,8 @@ def deviation(off: Array, names: tuple[str, ...], options: WatchOptions) -> Outc
     i = int(np.argmax(off))
     return Outcome(
         Code.DRIVER_DEVIATION,
-        f"joint {names[i]} is {off[i]:.4f} off its setpoints of the last {options.driver_lag:g} s, limit {options.deviation:g}",
+        f"joint {names[i]} is {off[i]:.4f} off its setpoints of the last {options.driver_lag:g} s, "
+        f"limit {options.deviation:g}",
     )
 
 
@@ -89,6 +90,4 @@ def waited_too_long(task: Task, now: float, options: WatchOptions) -> Outcome | 
 
 def singular(condition: float, options: WatchOptions) -> Outcome:
     """Say that the condition number is past the limit."""
-    return Outcome(
-        Code.SINGULARITY, f"condition number {condition:.0f} past the limit {options.thresholds.stop:.0f}"
-    )
+    return Outcome(Code.SINGULARITY, f"condition number {condition:.0f} past the limit {options.thresholds.stop:.0f}")

@@ -12,11 +12,11 @@ pytest.importorskip("sl_msgs")
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from positioner_cell import Cell, Positioner
-from positioner_robots import HOME, kinematics
-from sl_msgs.msg import PositionerStatus as S
+from positioner_robots import HOME
 from std_srvs.srv import SetBool, Trigger
 
 from sl_common import transforms
+from sl_msgs.msg import PositionerStatus as S
 
 pytestmark = pytest.mark.xdist_group("positioner_node")
 DOMAIN = 40

@@ -31,9 +31,7 @@ _SUCCESS = (Code.REACHED,)
 class PositionArmServer:
     """Runs the goals of ~/position_arm; a new goal replaces the running one without a halt."""
 
-    def __init__(
-        self, node: Node, settings: Settings, scene: Scene, supervisor: Callable[[], Supervisor]
-    ) -> None:
+    def __init__(self, node: Node, settings: Settings, scene: Scene, supervisor: Callable[[], Supervisor]) -> None:
         """Serve the action; ``supervisor`` returns it or raises PositionerError while there is no arm yet."""
         self._node, self._settings, self._scene, self._supervisor = node, settings, scene, supervisor
         self._server = ActionServer(
@@ -117,7 +115,7 @@ class PositionArmServer:
         follow: bool = False,
         duration: float | None = None,
     ) -> Task:
-        """Begin a motion, waiting a while for joint states and for an arm that still moves by itself to come to rest."""
+        """Begin a motion, waiting a while for joint states and for an arm that still moves by itself."""
         asked = (goal.request.duration or self._settings.duration) if duration is None else duration
         deadline = time.monotonic() + self._settings.goal_timeout
         while True:

@@ -46,10 +46,11 @@ class ForwardPosition:
 class Trajectories:
     """trajectory_msgs/JointTrajectory on ``joint_trajectory``, for joint_trajectory_controller.
 
-    Each message holds the setpoints of the next ``lookahead`` seconds, one per control period, and then the stop from there:
-    its last point is at rest, as the controller asks for, and where no further message comes (the node was killed) the arm
-    comes to rest within the limits. A new message leaves when the plan changes and every quarter of the look-ahead; its
-    points lie on the same time grid as before, so that replacing one by the next changes nothing where both agree.
+    Each message holds the setpoints of the next ``lookahead`` seconds, one per control period, and then the stop from
+    there: its last point is at rest, as the controller asks for, and where no further message comes (the node was
+    killed) the arm comes to rest within the limits. A new message leaves when the plan changes and every quarter of
+    the look-ahead; its points lie on the same time grid as before, so that replacing one by the next changes nothing
+    where both agree.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class Trajectories:
         self._origin = 0  # ROS time of the last setpoint [ns]
 
     def periods(self, *, moving: bool) -> int:
-        """Return the periods since the last setpoint by the clock: the driver follows stamps, so lost time is made up for."""
+        """Return the periods since the last setpoint: the driver follows stamps, so lost time is made up for."""
         now = self._node.get_clock().now().nanoseconds
         periods = round((now - self._origin) / self._step)
         if not moving or not 0 <= periods <= self._horizon:  # a new motion, or the clock was set

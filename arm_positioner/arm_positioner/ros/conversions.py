@@ -94,7 +94,7 @@ def markers(
         normal.scale.x, normal.scale.y = 0.004, 0.008
         array.markers += [disc, normal]
     label = marker(Marker.TEXT_VIEW_FACING, "status", 0, (1.0, 1.0, 1.0) if good else (1.0, 0.3, 0.3))
-    label.pose.position = _point(origin + (0.0, 0.0, 0.1))
+    label.pose.position = _point(origin + np.array([0.0, 0.0, 0.1]))
     label.scale.z, label.text = 0.025, text
     array.markers.append(label)
     return array

@@ -75,12 +75,8 @@ def read(node: Node) -> Settings:
         ),
         command_interface=interface,
         period=1.0 / number("rate", 125.0, "setpoints per second", "1/s", 10.0, 1000.0),
-        lookahead=number(
-            "lookahead", 0.2, "joint_trajectory: motion sent ahead, a stop behind it", "s", 0.02, 2.0
-        ),
-        velocity_scale=number(
-            "velocity_scale", 0.5, "share of the URDF's velocity limits in use", "1", 0.01, 1.0
-        ),
+        lookahead=number("lookahead", 0.2, "joint_trajectory: motion sent ahead, a stop behind it", "s", 0.02, 2.0),
+        velocity_scale=number("velocity_scale", 0.5, "share of the URDF's velocity limits in use", "1", 0.01, 1.0),
         max_velocity=per_joint("max_velocity", [3.0], "velocity limit [rad/s or m/s]; the URDF's holds too"),
         max_acceleration=per_joint("max_acceleration", [2.5], "acceleration limit [rad/s^2 or m/s^2]"),
         max_jerk=per_joint("max_jerk", [25.0], "jerk limit [rad/s^3 or m/s^3]"),
@@ -90,7 +86,12 @@ def read(node: Node) -> Settings:
         ),
         goal_timeout=number("goal_timeout", 3.0, "time to wait for a cloud, or for the arm to rest", "s", 0.0, 60.0),
         refinements=declare(
-            node, "refinements", 1, "further looks at the object, and corrections, once in front of it", minimum=0, maximum=10
+            node,
+            "refinements",
+            1,
+            "further looks at the object, and corrections, once in front of it",
+            minimum=0,
+            maximum=10,
         ),
         follow_smoothing=number("follow_smoothing", 0.15, "memory of the filter on a followed target", "s", 0.0, 5.0),
         target=TargetOptions(
@@ -101,7 +102,9 @@ def read(node: Node) -> Settings:
                 node, "min_object_points", 20, "patches with fewer points are no objects", minimum=6
             ),
             fit=FitOptions(
-                max_rms=number("max_fit_rms", 0.005, "RMS of the surface fit past which no target is derived", "m", 1e-6),
+                max_rms=number(
+                    "max_fit_rms", 0.005, "RMS of the surface fit past which no target is derived", "m", 1e-6
+                ),
                 max_normal_sigma=number(
                     "max_normal_sigma", 0.05, "uncertainty of the normal past which no target is derived", "rad", 1e-6
                 ),
@@ -110,9 +113,15 @@ def read(node: Node) -> Settings:
         watch=WatchOptions(
             joint_timeout=number("joint_timeout", 0.1, "age of joint states past which the arm stops", "s", 0.005),
             target_timeout=number("target_timeout", 0.1, "age of ~/target_pose past which it is refused", "s", 0.005),
-            cloud_timeout=number("cloud_timeout", 1.0, "time without a usable cloud past which the arm stops", "s", 0.01),
-            lost_timeout=number("lost_timeout", 5.0, "time at rest without cause removed before a goal is aborted", "s"),
-            deviation=number("max_deviation", 0.05, "distance of measured joints from their setpoints", "rad or m", 1e-5),
+            cloud_timeout=number(
+                "cloud_timeout", 1.0, "time without a usable cloud past which the arm stops", "s", 0.01
+            ),
+            lost_timeout=number(
+                "lost_timeout", 5.0, "time at rest without cause removed before a goal is aborted", "s"
+            ),
+            deviation=number(
+                "max_deviation", 0.05, "distance of measured joints from their setpoints", "rad or m", 1e-5
+            ),
             driver_lag=number("driver_lag", 0.25, "longest delay of the driver", "s", 0.0, 2.0),
             settle_timeout=number("settle_timeout", 2.0, "time to arrive after the last setpoint", "s", 0.05, 60.0),
             position_tolerance=number("position_tolerance", 0.001, "of a target reached", "m", 1e-6),
@@ -130,5 +139,7 @@ def _roll(node: Node) -> float | None:
         "least_rotation: turn the camera as little as possible; fixed: parameter roll",
         choices=("least_rotation", "fixed"),
     )
-    roll = declare(node, "roll", 0.0, "angle of the image about the optical axis, 0 upright (roll_mode fixed)", unit="rad")
+    roll = declare(
+        node, "roll", 0.0, "angle of the image about the optical axis, 0 upright (roll_mode fixed)", unit="rad"
+    )
     return roll if mode == "fixed" else None

@@ -107,18 +107,18 @@ class Scene:
         Raises InvalidGoalError without a hand-eye calibration, TargetError with the reason of the last cloud otherwise.
         """
         if self._hand_eye.problem:
-            raise InvalidGoalError(f"positioning in front of an object needs the camera's pose; {self._hand_eye.problem}")
+            raise InvalidGoalError(
+                f"positioning in front of an object needs the camera's pose; {self._hand_eye.problem}"
+            )
         begun, deadline = self._now(), time.monotonic() + timeout
         oldest = begun - round(1e9 * (0.0 if anchor is not None else self._settings.watch.cloud_timeout))
         reason = f"no point cloud on {self._node.resolve_topic_name('points')} within {timeout:g} s"
-        tried = None
+        tried: PointCloud2 | None = None
         while True:
             with self._fresh:
-                ready = self._fresh.wait_for(
-                    lambda: self._cloud is not None and self._cloud is not tried, max(deadline - time.monotonic(), 0.0)
-                )
-                message = self._cloud
-            if not ready or message is None:
+                while (message := self._cloud) is tried and self._fresh.wait(max(deadline - time.monotonic(), 0.0)):
+                    pass
+            if message is None or message is tried:
                 raise TargetError(f"refused: {reason}")
             tried = message
             if to_ns(message.header.stamp) < oldest:
@@ -132,8 +132,8 @@ class Scene:
     def base_from_goal(self, message: PoseStamped) -> Array:
         """Return base_from_camera (4, 4) of a goal in the base or the camera frame.
 
-        Raises InvalidGoalError for another frame or numbers that are no pose, JointLookupError where the camera's pose at the
-        goal's stamp is not known.
+        Raises InvalidGoalError for another frame or numbers that are no pose, JointLookupError where the camera's
+        pose at the goal's stamp is not known.
         """
         pose = pose_to_array(message.pose)
         frame = message.header.frame_id
@@ -153,12 +153,11 @@ class Scene:
             raise TargetError(f"the point cloud is {age:.2f} s old, limit {self._settings.watch.cloud_timeout:g} s")
         if frame not in (self._settings.base_frame, self._settings.camera_frame):
             raise InvalidInputError(
-                f"point cloud in frame '{frame}', expected '{self._settings.base_frame}' or '{self._settings.camera_frame}'"
+                f"point cloud in frame '{frame}', expected '{self._settings.base_frame}' or "
+                f"'{self._settings.camera_frame}'"
             )
         camera = self._camera_at(stamp)
-        seen = sighting(
-            message, time.monotonic() - age, camera, in_camera_frame=frame == self._settings.camera_frame
-        )
+        seen = sighting(message, time.monotonic() - age, camera, in_camera_frame=frame == self._settings.camera_frame)
         return self._sight.look(seen, options, anchor=anchor)
 
     def _camera_at(self, stamp_ns: int) -> Array:
@@ -183,5 +182,3 @@ class Scene:
 
     def _now(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
-
-

@@ -10,21 +10,23 @@ from collections.abc import Callable
 
 import numpy as np
 import rclpy
+from arm_positioner.limits import JointLimits
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from positioner_checks import limit_violations
 from positioner_robots import HOME, URDFS, kinematics
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState, PointCloud2
-from sl_msgs.action import PositionArm
-from sl_msgs.msg import PositionerStatus
+from sl_common.ros import clouds
+from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
 from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sl_common import transforms
-from sl_common.ros import clouds
-from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
+from sl_msgs.action import PositionArm
+from sl_msgs.msg import PositionerStatus
 
 PERIOD = 1 / 125
 ACCELERATION, JERK, SCALE = 2.5, 25.0, 0.5  # the node's defaults
@@ -212,29 +214,13 @@ class Cell:
         return message
 
     def violations(self) -> list[str]:
-        """Check every command against the limits by differences; starts anew nowhere: a restart must not jump either."""
+        """Check every command against the limits by differences."""
         if not self.commands:
             return []
-        return limit_violations(np.array(self.commands), self.arm)
-
-
-def limit_violations(commands: np.ndarray, arm, velocity_scale: float = SCALE) -> list[str]:
-    """Return what is wrong with setpoints (N, n) one period apart that begin and end at rest."""
-    p = np.concatenate([commands[:1], commands[:1], commands[:1], commands, commands[-1:], commands[-1:], commands[-1:]])
-    derivatives = [p]
-    for _ in range(3):
-        derivatives.append(np.diff(derivatives[-1], axis=0) / PERIOD)
-    velocity = np.minimum(3.0, velocity_scale * arm.max_velocity)
-    found = []
-    if (p < arm.lower).any() or (p > arm.upper).any() or not np.isfinite(p).all():
-        found.append("position")
-    for name, values, limit in zip(
-        ("velocity", "acceleration", "jerk"), derivatives[1:], (velocity, ACCELERATION, JERK), strict=True
-    ):
-        ratio = np.abs(values / limit).max()
-        if ratio > 1 + 1e-6:
-            found.append(f"{name} {ratio:.6f} of its limit")
-    return found
+        arm, ones = self.arm, np.ones(self.q.size)
+        velocity = np.minimum(3.0, SCALE * arm.max_velocity)
+        limits = JointLimits(arm.joint_names, arm.lower, arm.upper, velocity, ACCELERATION * ones, JERK * ones)
+        return limit_violations(np.array(self.commands), limits, PERIOD)
 
 
 class Positioner:

@@ -13,11 +13,13 @@ def _urdf(name: str, joints: list[tuple]) -> str:
     for joint, kind, xyz, rpy, axis, lower, upper, velocity in joints:
         child = "tool0" if joint == "tool" else f"{joint}_link"
         text.append(
-            f'<link name="{child}"/><joint name="{joint}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-            f'<origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" rpy="{rpy[0]} {rpy[1]} {rpy[2]}"/>'
+            f'<link name="{child}"/><joint name="{joint}" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="{child}"/><origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" rpy="{rpy[0]} {rpy[1]} {rpy[2]}"/>'
         )
         if kind != "fixed":
-            text.append(f'<axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="100"/>')
+            text.append(
+                f'<axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="100"/>'
+            )
         text.append("</joint>")
         parent = child
     return "".join([*text, "</robot>"])
