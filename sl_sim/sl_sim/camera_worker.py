@@ -6,6 +6,7 @@ and polls.
 
 import contextlib
 import multiprocessing
+import os
 import signal
 from multiprocessing.connection import Connection
 from typing import Any
@@ -23,6 +24,7 @@ class WorkerError(StructuredLightError):
 
 def _serve(pipe: Connection, settings: CellSettings, effects: Effects, self_shadow: bool) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(10)  # an image may be late, a control period may not
     try:
         from sl_sim.camera_simulation import CameraSimulation  # here: the parent needs neither compiler nor ray caster
 
