@@ -11,6 +11,7 @@ from sl_sim.errors import CellError
 from sl_sim.exposures import Exposure, Taken
 from sl_sim.projector import light_image
 from sl_sim.renderer import Renderer
+from sl_sim.warmup import warm_up
 
 
 class CameraSimulation:
@@ -27,6 +28,7 @@ class CameraSimulation:
         self._body = ArmBody(cell.flange_from_camera) if self_shadow else None
         self._rng = np.random.default_rng([cell.settings.seed, 17])
         self._gain = 0.0
+        warm_up()
         self.show(np.zeros((cell.projector.height, cell.projector.width, 3), np.uint8))
 
     def show(self, projector_bgr: np.ndarray) -> None:

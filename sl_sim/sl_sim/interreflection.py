@@ -90,7 +90,20 @@ def irradiance(light: np.ndarray, moved: Transfer) -> np.ndarray:
 
 
 @njit(cache=True)
-def fill_up(coarse, coarse_points, coarse_normals, coarse_body, step, rows, cols, points, normals, albedo, body, out):
+def fill_up(
+    coarse: np.ndarray,
+    coarse_points: np.ndarray,
+    coarse_normals: np.ndarray,
+    coarse_body: np.ndarray,
+    step: int,
+    rows: np.ndarray,
+    cols: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    albedo: np.ndarray,
+    body: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """Add albedo times the irradiance interpolated from receivers of the same surface to out (n, 3), at lattice
     rows, cols (n,).
     """

@@ -23,7 +23,7 @@ def _band_values(field: Field, points: np.ndarray, counts: np.ndarray, coarse: i
     """Field at grid points (n, 3) near the surface; +-1 elsewhere. Details below `coarse` steps away from the
     surface are lost.
     """
-    ids = np.minimum(np.indices(-(-counts // coarse) + 1).reshape(3, -1).T * coarse, counts - 1)
+    ids = np.minimum(np.indices(tuple(-(-counts // coarse) + 1)).reshape(3, -1).T * coarse, counts - 1)
     strides = np.array([counts[1] * counts[2], counts[2], 1])
     shape = -(-counts // coarse) + 1
     rough = field(points[ids @ strides]).reshape(shape) > 0
@@ -35,7 +35,7 @@ def _band_values(field: Field, points: np.ndarray, counts: np.ndarray, coarse: i
         near[tuple(low)] |= flips
         near[tuple(high)] |= flips
     near = binary_dilation(near, np.ones((3, 3, 3)))
-    fine = np.indices(counts).reshape(3, -1) // coarse
+    fine = np.indices(tuple(counts)).reshape(3, -1) // coarse
     cell = tuple(fine)
     values = np.where(rough[cell], 1.0, -1.0)
     band = np.flatnonzero(near[cell])
@@ -61,7 +61,7 @@ def mesh(
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     values = _band_values(field, points, counts)
     strides = np.array([counts[1] * counts[2], counts[2], 1])
-    first = (np.indices(counts - 1).reshape(3, -1).T * strides).sum(1)
+    first = (np.indices(tuple(counts - 1)).reshape(3, -1).T * strides).sum(1)
     corners = first[:, None] + (_CORNERS * strides).sum(1)
     inside = values[corners] > 0
     corners = corners[inside.any(1) & ~inside.all(1)]

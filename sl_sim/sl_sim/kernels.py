@@ -8,11 +8,33 @@ LIT, HIT = 2, 1
 
 @njit(cache=True, fastmath=True)
 def shade_points(
-    origin, directions, distance, face, bary_u, bary_v, faces, vertex_normals, vertex_albedo, face_body, gloss,
-    light_from_base, light_k, light_size, light_distorted, vignetting, ambient, up, points, normals, uv, gain, sky,
-    albedo,
-    body, flags,
-):  # fmt: skip
+    origin: np.ndarray,
+    directions: np.ndarray,
+    distance: np.ndarray,
+    face: np.ndarray,
+    bary_u: np.ndarray,
+    bary_v: np.ndarray,
+    faces: np.ndarray,
+    vertex_normals: np.ndarray,
+    vertex_albedo: np.ndarray,
+    face_body: np.ndarray,
+    gloss: np.ndarray,
+    light_from_base: np.ndarray,
+    light_k: np.ndarray,
+    light_size: np.ndarray,
+    light_distorted: bool,
+    vignetting: float,
+    ambient: float,
+    up: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    uv: np.ndarray,
+    gain: np.ndarray,
+    sky: np.ndarray,
+    albedo: np.ndarray,
+    body: np.ndarray,
+    flags: np.ndarray,
+) -> None:
     """Surface, projector coordinates and light transport of first hits; shadows are not known here.
 
     In: origin (3,), directions (n, 3), hits (n,), the scene's arrays, light_from_base (4, 4), light_k (fx fy cx cy),
@@ -103,7 +125,14 @@ def shade_points(
 
 
 @njit(cache=True)
-def uneven_cells(points, normals, albedo, body, flags, uneven):
+def uneven_cells(
+    points: np.ndarray,
+    normals: np.ndarray,
+    albedo: np.ndarray,
+    body: np.ndarray,
+    flags: np.ndarray,
+    uneven: np.ndarray,
+) -> None:
     """Mark cells of a node lattice (h, w, ...) over which nothing may be interpolated; uneven (h-1, w-1) uint8.
 
     A cell is even when its four nodes lie on one body, are all lit or all dark, are painted alike, have normals within
@@ -142,7 +171,13 @@ def uneven_cells(points, normals, albedo, body, flags, uneven):
 
 
 @njit(cache=True, fastmath=True)
-def _look_up(light, scale, u, v, out):
+def _look_up(
+    light: np.ndarray,
+    scale: float,
+    u: float,
+    v: float,
+    out: np.ndarray,
+) -> None:
     """Bilinear light (h, w, 3) at projector pixel (u, v) of the unscaled panel; nothing outside."""
     h, w = light.shape[0], light.shape[1]
     x = (u + 0.5) * scale - 0.5
@@ -169,9 +204,22 @@ def _look_up(light, scale, u, v, out):
 
 @njit(cache=True, fastmath=True)
 def gather(
-    light, scale, uv, gain, sky, slot_of_cell, fine_uv, fine_gain, fine_sky, cell, fraction, part, samples, across,
-    image
-):  # fmt: skip
+    light: np.ndarray,
+    scale: float,
+    uv: np.ndarray,
+    gain: np.ndarray,
+    sky: np.ndarray,
+    slot_of_cell: np.ndarray,
+    fine_uv: np.ndarray,
+    fine_gain: np.ndarray,
+    fine_sky: np.ndarray,
+    cell: np.ndarray,
+    fraction: np.ndarray,
+    part: np.ndarray,
+    samples: int,
+    across: int,
+    image: np.ndarray,
+) -> None:
     """Integrate the radiance over each pixel's samples x samples sub-pixels into image (H, W, 3) float32.
 
     Sub-pixel k of an axis lies in cell cell[k] of the node lattice at fraction[k] and is sample part[k] of that cell's
@@ -232,7 +280,14 @@ def gather(
 
 
 @njit(cache=True)
-def capsules_between(light, points, flags, ends, radii, blocked):
+def capsules_between(
+    light: np.ndarray,
+    points: np.ndarray,
+    flags: np.ndarray,
+    ends: np.ndarray,
+    radii: np.ndarray,
+    blocked: np.ndarray,
+) -> None:
     """Mark points (n, 3) whose segment to light (3,) passes within radii (k,) of the segments ends (k, 2, 3)."""
     for i in range(points.shape[0]):
         blocked[i] = False

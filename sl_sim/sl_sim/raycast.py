@@ -84,8 +84,8 @@ class RayCaster:
         self.albedo = np.ascontiguousarray(np.concatenate(albedo), np.float32)
         self.face_body = np.concatenate(face_body)
         self.gloss = np.array([[b.mesh.gloss, b.mesh.gloss_exponent] for b in self.bodies], np.float32)
-        for group, pose in enumerate(self._base_from_group):
-            self._rotate_normals(group, pose)
+        for index, pose in enumerate(self._base_from_group):
+            self._rotate_normals(index, pose)
 
     def _rotate_normals(self, group: int, pose: np.ndarray) -> None:
         part = self._vertex_slice[group]

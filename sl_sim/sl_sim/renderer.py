@@ -1,9 +1,8 @@
 """Images of a scene in a projector's light, as a camera sees it.
 
-Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of nodes; where between
-four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
-transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where
-neither
+Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of nodes; where the
+surface between four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
+transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where neither
 camera, projector nor scene has moved, all of this is kept and only the light is gathered again.
 """
 

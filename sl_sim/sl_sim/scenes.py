@@ -53,6 +53,10 @@ def _pose(
     return transforms.make(transforms.rotation_exp(np.asarray(turn, float)), np.array([x, y, z]))
 
 
+def _somewhere(rng: np.random.Generator, lower: tuple[float, ...], upper: tuple[float, ...]) -> np.ndarray:
+    return transforms.make(transforms.rotation_exp(rng.uniform(-1, 1, 3)), rng.uniform(lower, upper))
+
+
 def _wall(distance: float, rng: np.random.Generator, *, grey: float = 0.75) -> tuple[Mesh, np.ndarray]:
     tint = grey * (1.0 + 0.04 * rng.standard_normal(3))
     return meshes.rectangle(WALL, WALL, albedo=tuple(tint), name="wall"), _pose(z=-distance)
@@ -75,6 +79,17 @@ def _harmonics(rng: np.random.Generator, count: int, wavelength: tuple[float, fl
 def _sum(waves: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     phase = x[..., None] * waves[:, 0] + y[..., None] * waves[:, 1] + waves[:, 2]
     return (np.sin(phase) * waves[:, 3]).sum(-1) / waves[:, 3].sum()
+
+
+def _spherical_waves(rng: np.random.Generator, count: int, number: tuple[float, float]) -> np.ndarray:
+    """(count, 4): wave vector on the unit sphere and phase."""
+    axes = rng.standard_normal((count, 3))
+    axes *= rng.uniform(*number, (count, 1)) / np.linalg.norm(axes, axis=1, keepdims=True)
+    return np.concatenate([axes, rng.uniform(0, 2 * np.pi, (count, 1))], axis=1)
+
+
+def _bumps(waves: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    return np.sin(direction @ waves[:, :3].T + waves[:, 3]).sum(1)
 
 
 Parts = list[tuple[Mesh, np.ndarray]]
@@ -219,11 +234,10 @@ def _checker(rng: np.random.Generator) -> Parts:
 
 def _glossy(rng: np.random.Generator) -> Parts:
     """glossy blob before a wall"""
-    waves = [(rng.standard_normal(3), rng.uniform(0, 6.3), rng.uniform(2, 4)) for _ in range(5)]
+    waves = _spherical_waves(rng, 5, (2, 4))
 
     def radius(direction: np.ndarray) -> np.ndarray:
-        bumps = sum(np.sin(k * direction @ (axis / np.linalg.norm(axis)) + phase) for axis, phase, k in waves)
-        return 0.13 * (1.0 + 0.05 * bumps)
+        return 0.13 * (1.0 + 0.05 * _bumps(waves, direction))
 
     mesh = replace(
         meshes.star_shape(radius, albedo=_paint(rng, 0.6, 0.1), name="glazed"), gloss=0.12, gloss_exponent=60.0
@@ -235,7 +249,7 @@ def _clutter(rng: np.random.Generator) -> Parts:
     """balls, boxes and a cylinder in a heap before a wall"""
     parts = [_wall(0.15, rng)]
     for _ in range(4):
-        at = _pose(*rng.uniform((-0.2, -0.15, -0.1), (0.2, 0.15, 0.06)), tuple(rng.uniform(-1, 1, 3)))
+        at = _somewhere(rng, (-0.2, -0.15, -0.1), (0.2, 0.15, 0.06))
         parts.append(
             (
                 meshes.sphere(rng.uniform(0.03, 0.08), parallels=160, albedo=_paint(rng, rng.uniform(0.4, 0.85), 0.15)),
@@ -243,20 +257,20 @@ def _clutter(rng: np.random.Generator) -> Parts:
             )
         )
     for _ in range(5):
-        at = _pose(*rng.uniform((-0.22, -0.17, -0.12), (0.22, 0.17, 0.04)), tuple(rng.uniform(-1, 1, 3)))
+        at = _somewhere(rng, (-0.22, -0.17, -0.12), (0.22, 0.17, 0.04))
         size = tuple(rng.uniform(0.05, 0.16, 3))
         parts.append((meshes.box(size, albedo=_paint(rng, rng.uniform(0.4, 0.85), 0.15)), at))
-    at = _pose(*rng.uniform((-0.1, -0.1, -0.05), (0.1, 0.1, 0.05)), tuple(rng.uniform(-1, 1, 3)))
+    at = _somewhere(rng, (-0.1, -0.1, -0.05), (0.1, 0.1, 0.05))
     parts.append((meshes.cylinder(0.04, 0.3, albedo=_paint(rng)), at))
     return parts
 
 
 def _freeform(rng: np.random.Generator) -> Parts:
     """lumpy body with hollows before a wall"""
-    waves = [(rng.standard_normal(3), rng.uniform(0, 6.3), rng.uniform(3, 9)) for _ in range(9)]
+    waves = _spherical_waves(rng, 9, (3, 9))
 
     def radius(direction: np.ndarray) -> np.ndarray:
-        return 0.14 * (1.0 + 0.05 * sum(np.sin(k * direction @ (a / np.linalg.norm(a)) + p) for a, p, k in waves))
+        return 0.14 * (1.0 + 0.05 * _bumps(waves, direction))
 
     return [_wall(0.12, rng), (meshes.star_shape(radius, albedo=_paint(rng, 0.7, 0.08), name="lump"), _pose(z=0.02))]
 
