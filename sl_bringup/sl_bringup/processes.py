@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -59,6 +59,7 @@ class Executable:
         remaps: Names to replace, from: to.
         arguments: Arguments before the ROS ones.
         label: Name of the log file and in messages; empty: the executable's name.
+        niceness: Added to its scheduling niceness: what may be late gives way to what may not.
     """
 
     package: str
@@ -68,6 +69,7 @@ class Executable:
     remaps: Mapping[str, str] | None = None
     arguments: Sequence[str] = ()
     label: str = ""
+    niceness: int = 0
 
     def command(self) -> list[str]:
         """Return the command line; raises ProcessError when the executable is not installed."""
@@ -108,7 +110,7 @@ class Process:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=_die_with_parent(os.getpid()) if sys.platform == "linux" else None,
+                preexec_fn=_prepared(os.getpid(), what.niceness),
             )
 
     @property
@@ -213,11 +215,14 @@ class ProcessGroup:
                 signal.signal(signal.SIGINT, previous)
 
 
-def _die_with_parent(parent: int):  # type: ignore[no-untyped-def]  # noqa: ANN202
-    libc = ctypes.CDLL(None, use_errno=True)
+def _prepared(parent: int, niceness: int) -> Callable[[], None]:
+    """Return what the child does before it becomes the executable; everything is looked up beforehand, in the parent."""
+    prctl = ctypes.CDLL(None, use_errno=True).prctl if sys.platform == "linux" else None
 
     def prepare() -> None:
-        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        os.nice(niceness)
+        if prctl is not None:
+            prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:  # it died in between
             os._exit(1)
 

@@ -18,7 +18,7 @@ from sl_msgs.msg import PositionerStatus
 _START_UP = 120.0
 """Longest wait for each input after the start [s]: a busy machine takes long to load seven Pythons."""
 
-_ORDERS = 3
+_ORDERS = 5
 _PASSING = (PositionerStatus.STALE_JOINTS, PositionerStatus.STALE_TARGET, PositionerStatus.LOST_CLOUD)
 
 

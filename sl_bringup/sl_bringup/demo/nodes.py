@@ -10,21 +10,30 @@ def parameter_file(node: str) -> Path:
     return share_folder("sl_bringup") / "config" / f"{node}.yaml"
 
 
-def executable(package: str, node: str, **parameters: object) -> Executable:
+def executable(package: str, node: str, *, niceness: int = 0, **parameters: object) -> Executable:
     """Return a node of the stack with its default parameter file and ``parameters`` over it."""
-    return Executable(package, node, parameters=parameters, parameter_files=[parameter_file(node)])
+    files = [parameter_file(node)]
+    return Executable(package, node, parameters=parameters, parameter_files=files, niceness=niceness)
 
 
 def chain(calibration_folder: Path) -> list[Executable]:
     """Return the nodes that a real cell runs too: projector to setpoints.
 
-    The positioner waits longer for a cloud than in front of a real camera: on a busy machine an image is rendered in a second.
+    Two limits of the positioner are those of a simulation on a busy machine, not of a real cell: an image may take a second to
+    render, and the simulated driver may lag. Those on joint states and motion are the defaults.
     """
     return [
         executable("pattern_gen", "pattern_publisher"),
-        executable("sl_decoder", "decoder"),
-        executable("sl_calibration", "triangulator", calibration_folder=calibration_folder),
-        executable("arm_positioner", "positioner", calibration_folder=calibration_folder, cloud_timeout=4.0),
+        executable("sl_decoder", "decoder", niceness=5),
+        executable("sl_calibration", "triangulator", niceness=5, calibration_folder=calibration_folder),
+        executable(
+            "arm_positioner",
+            "positioner",
+            calibration_folder=calibration_folder,
+            cloud_timeout=4.0,
+            lost_timeout=15.0,
+            driver_lag=1.0,
+        ),
     ]
 
 
