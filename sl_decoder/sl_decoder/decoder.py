@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from pattern_gen import Pattern
 
 from sl_common.errors import StructuredLightError
-from sl_decoder import centres, graph, growth, judgement, letters, placement, segmentation
+from sl_decoder import centres, letters, segmentation
 from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
 from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
+from sl_decoder.interpretation import Interpretation
 from sl_decoder.lattice import from_axial
 
 SMALLEST_IMAGE = 16  # side [px]
+LEAST_BELIEF = 2.0  # log-odds below which a dot is never given
+SATURATED_SHARE = 0.5  # of a dot's core, from which its letter is not trusted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,111 +52,74 @@ class Decoder:
             raise StructuredLightError(
                 f"colours.yaml has {len(colours.rgb)} letters, the pattern {pattern.alphabet}: calibrate with this pattern"
             )
-        self.colours = colours
+        self._calibrated = None if colours is None else colours.rgb[:, ::-1].copy()
+        self._projector = pattern.centers.astype(np.float32)
+        confidence = min(self.options.min_confidence, 1.0 - 1e-6)
+        self.limit = max(float(np.log(max(confidence, 1e-6) / (1.0 - confidence))), LEAST_BELIEF)
 
     def decode(self, bgr: NDArray[np.uint8]) -> Decoded:
         """Correspondences of a BGR image (H, W, 3) uint8. Raises StructuredLightError for anything else."""
         start = time.perf_counter()
         check_image(bgr)
+        reading = self.interpret(bgr)
+        return self.report(reading, start)
+
+    def interpret(self, bgr: NDArray[np.uint8]) -> Interpretation:
+        """All that was found out about an image."""
         kernel = self.options.kernel or max(12, bgr.shape[1] // 36)
         segments = segmentation.segment(bgr, kernel)
-        dots = centres.measure(segments)
-        decoded = self._read(dots, start)
-        self.ev = decoded[1] if isinstance(decoded, tuple) else None
-        return decoded[0] if isinstance(decoded, tuple) else decoded
+        reading = Interpretation(self.codebook, self.alphabet, centres.measure(segments))
+        if reading.n < len(self.codebook.lattice.window):
+            return reading
+        reading.build_graph()
+        reading.read_letters(self._calibrated)
+        trials = np.log(len(self.codebook.codes) * float(reading.n))
+        evidence = trials - np.log(self.options.max_false_alarms)
+        if reading.place(evidence):
+            reading.grow(self.limit)
+            reading.refit()
+            reading.place(evidence)
+            reading.grow(self.limit)
+            reading.recover(segments.smooth, self.limit)
+        return reading
 
-    def _read(self, dots: centres.Dots, start: float) -> Decoded:
+    def report(self, reading: Interpretation, start: float) -> Decoded:
+        """The correspondences of an interpretation; start: time.perf_counter() at its begin."""
         book = self.codebook
-        lattice = book.lattice
-        n = len(dots)
-        if n < len(lattice.window):
-            return nothing(blobs=n, decode_time=time.perf_counter() - start)
-        centre = dots.centre
-        near = graph.nearest(centre, graph.NEIGHBOURS)
-        shape = graph.smooth_shapes(dots.covariance, near)
-        links = np.empty((n, lattice.directions), np.int32)
-        quality = np.empty(n, np.float32)
-        graph.local_bases(centre, shape, near, lattice.directions, graph.TOLERANCE, links, quality)
-        component, frame, u, v = (np.empty(n, np.int32) for _ in range(4))
-        count, conflicts = graph.components(links, quality, lattice.steps, component, frame, u, v)
-        cell, at, width = placement.lay_out(component, u, v, conflicts, count, 4)
-        letter, model, signal, field, variance = letters.initial_letters(self.alphabet, centre, dots.colour, near, at >= 0)
-        log_p = np.empty((n, book.alphabet), np.float32)
-        claim = np.full(book.letters.shape, -1, np.int32)
-        belief = np.empty(claim.shape, np.float32)
-        own = np.zeros(claim.shape, np.float32)
-        ev_letter = np.zeros(claim.shape, np.float32)
-        ev_error = np.zeros(claim.shape, np.float32)
-        ev_size = np.zeros(claim.shape, np.float32)
-        ev_kind = np.full(claim.shape, 3, np.int8)
-        holder_u = np.full(n, -1, np.int32)
-        holder_v = np.full(n, -1, np.int32)
-        trials = np.log(len(book.codes) * float(n))
-        first_evidence = trials - np.log(self.options.max_false_alarms)
-        least = float(np.log(self.options.min_confidence / (1 - self.options.min_confidence))) if self.options.min_confidence < 1 else 20.0
-        accepted = 0
-        for turn in range(2):
-            letters.log_likelihood(dots.colour, signal, field, variance, dots.noise, self.alphabet.group, model.direction,
-                                   model.spread, model.level, model.level_spread, log_p, letter)
-            votes, _ = placement.window_votes(cell, at, width, u, v, letter, lattice.window, book.alphabet,
-                                              book.codes, book.values, lattice.turn)
-            found, of = placement.rank_placements(votes, component, 1)
-            claim[:] = -1
-            holder_u[:] = -1
-            holder_v[:] = -1
-            accepted, _ = placement.place(found, of, votes, cell, at, width, component, u, v, log_p, book.letters,
-                                          lattice.window, lattice.turn, placement.COUPLING, placement.SWEEPS,
-                                          first_evidence, 14.0, 1.5, claim, holder_u, holder_v)
-            if not accepted:
-                break
-            banned_u = np.full(n, -1, np.int32)
-            banned_v = np.full(n, -1, np.int32)
-            limit = max(least, 2.0)
-            for round_ in range(4):
-                added = growth.grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, book.letters,
-                                    lattice.steps, growth.REACH)
-                if round_ and not added:
-                    break
-                for _ in range(12):
-                    judgement.gather(claim, centre, dots.area, log_p, book.letters, lattice.steps, ev_letter, ev_error,
-                                     ev_kind, ev_size)
-                    judgement.own_evidence(claim, ev_letter, ev_error, ev_kind, ev_size, own)
-                    judgement.solve(claim, own, lattice.window, belief)
-                    if not judgement.release_worst(claim, belief, limit, holder_u, holder_v, banned_u, banned_v):
-                        break
-            held = holder_v >= 0
-            if turn == 0 and held.any():
-                known = np.where(held, book.letters[np.maximum(holder_v, 0), np.maximum(holder_u, 0)], letter).astype(np.int32)
-                group = self.alphabet.group[known]
-                signal = letters.log_signal(dots.colour, model.direction, group)
-                letters.local_field(centre, signal, near, known, model.level, held, field, variance)
-                model = letters.fit_model(self.alphabet, dots.colour, signal, field, known, held, model.direction, model.level)
-        reason = np.full(n, Reason.UNKNOWN_CODE, np.uint8)
-        reason[at < 0] = Reason.NO_NEIGHBOURS
-        reason[conflicts] = Reason.INCONSISTENT
-        reason[(dots.saturated > 0.5) & (at >= 0)] = Reason.SATURATED
-        reason[holder_v >= 0] = Reason.DECODED
-        ids = np.flatnonzero(holder_v >= 0)
-        map_v, map_u = holder_v[ids], holder_u[ids]
+        m = reading.segmented
+        if reading.n < len(book.lattice.window):
+            return nothing(blobs=m, decode_time=time.perf_counter() - start)
+        reason = np.full(reading.n, Reason.DECODED, np.uint8)
+        reason[:m] = Reason.UNKNOWN_CODE
+        reason[:m][reading.at < 0] = Reason.NO_NEIGHBOURS
+        reason[:m][reading.conflicts] = Reason.INCONSISTENT
+        reason[reading.saturated[: reading.n] > SATURATED_SHARE] = Reason.SATURATED
+        reason[reading.banned_v[: reading.n] >= 0] = Reason.IMPROBABLE
+        reason[reading.holder_v[: reading.n] >= 0] = Reason.DECODED
+        map_v, map_u = np.nonzero(reading.claim >= 0)
         row, col = from_axial(map_u, map_v - book.v_offset, hexagonal=book.hexagonal)
-        order = np.lexsort((col, row))
-        ids, map_v, map_u, row, col = ids[order], map_v[order], map_u[order], row[order], col[order]
-        b = belief[map_v, map_u]
+        if book.hexagonal:
+            order = np.lexsort((col, row))
+            map_v, map_u, row, col = map_v[order], map_u[order], row[order], col[order]
+        ids = reading.claim[map_v, map_u]
+        links = np.full((reading.n, book.lattice.directions), -1, np.int32)
+        links[:m] = reading.links
+        belief = reading.belief[map_v, map_u]
         return Decoded(
             row=row.astype(np.int32),
             col=col.astype(np.int32),
-            camera=centre[ids],
-            projector=self.pattern.centers[row, col].astype(np.float32),
-            confidence=(1.0 / (1.0 + np.exp(-b))).astype(np.float32),
-            corrected=(letter[ids] != book.letters[map_v, map_u]).astype(np.uint8),
+            camera=reading.centre[ids],
+            projector=self._projector[row, col],
+            confidence=(1.0 / (1.0 + np.exp(-belief))).astype(np.float32),
+            corrected=(reading.letter[ids] != book.letters[map_v, map_u]).astype(np.uint8),
             track_id=np.full(len(ids), -1, np.int32),
-            blobs=n,
-            labelled=int((at >= 0).sum()),
+            blobs=m,
+            labelled=int((reading.at >= 0).sum()),
             inconsistent=int((reason == Reason.INCONSISTENT).sum()),
             rejected=int(((reason != Reason.DECODED) & (reason != Reason.INCONSISTENT)).sum()),
             decode_time=time.perf_counter() - start,
-            inspection=Inspection(centre, letter, links, reason),
-        ), dict(letter=ev_letter[map_v, map_u], error=ev_error[map_v, map_u], kind=ev_kind[map_v, map_u], size=ev_size[map_v, map_u], belief=b)
+            inspection=Inspection(reading.centre[: reading.n], reading.letter[: reading.n], links, reason),
+        )
 
 
 def check_image(bgr: NDArray[np.uint8]) -> None:

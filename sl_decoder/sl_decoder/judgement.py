@@ -11,12 +11,18 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from sl_decoder.growth import UNPREDICTED, lattice_error, predict
+from sl_decoder.growth import EXTRAPOLATED, FULL, UNPREDICTED, lattice_error, predict
 
 # residuals of true dots from their prediction, in lattice units: mixtures per kind of prediction
 PLACE_SIGMA = np.array([[0.010, 0.030, 0.10], [0.018, 0.05, 0.12], [0.03, 0.07, 0.12]], np.float32)
 PLACE_SHARE = np.array([[0.78, 0.20, 0.02], [0.68, 0.20, 0.12], [0.45, 0.35, 0.20]], np.float32)
 PLACE_MOST = 4.0
+# beyond (some 99.8 % of true dots lie within) the dot is half lit, merged or not on this surface: its centre is wrong
+PLACE_LIMIT = np.array([0.14, 0.22, 0.30], np.float32)
+OFF_PLACE = 12.0
+ROUGHER = 1.6  # times the surroundings' mean residual, from which a dot is out of line
+SMOOTH_LIMIT = 0.07  # but never below this, nor below SMOOTH_FACTOR times the image's median residual
+SMOOTH_FACTOR = 8.0
 PAIR = 1.2  # support of two sound neighbours on opposite sides
 SINGLE = 0.3  # support of one sound neighbour
 SWEEPS = 6
@@ -61,6 +67,19 @@ def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_o
 def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-untyped-def]
     """Log-odds (V, U) of each held element by itself."""
     rows, cols = claim.shape
+    histogram = np.zeros(200, np.int32)
+    n = 0
+    for v in range(rows):
+        for u in range(cols):
+            if claim[v, u] >= 0 and kind_of[v, u] == FULL:
+                histogram[min(199, int(error[v, u] * 1000))] += 1
+                n += 1
+    middle = 0
+    below = 0
+    while middle < 199 and 2 * (below + histogram[middle]) < n:
+        below += histogram[middle]
+        middle += 1
+    smooth_limit = max(SMOOTH_LIMIT, SMOOTH_FACTOR * 0.001 * middle)
     for v in range(rows):
         for u in range(cols):
             if claim[v, u] < 0:
@@ -75,6 +94,20 @@ def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-u
                     s2 = PLACE_SIGMA[kind, c] * PLACE_SIGMA[kind, c]
                     density += PLACE_SHARE[kind, c] * np.exp(e2 / s2) / (np.float32(2 * np.pi) * s2)
                 place = min(np.log(density), np.float32(PLACE_MOST))
+            limit = PLACE_LIMIT[min(kind, 2)]
+            if kind < EXTRAPOLATED:
+                # out of line with its surroundings: their own residuals tell how rough the surface is
+                rough = np.float32(0)
+                m = 0
+                for vv in range(max(0, v - 1), min(rows, v + 2)):
+                    for uu in range(max(0, u - 1), min(cols, u + 2)):
+                        if claim[vv, uu] >= 0 and (vv != v or uu != u) and kind_of[vv, uu] < EXTRAPOLATED:
+                            rough += error[vv, uu]
+                            m += 1
+                if m >= 4:
+                    limit = min(limit, max(np.float32(smooth_limit) * (1 + kind), np.float32(ROUGHER) * rough / m))
+            if kind < UNPREDICTED and error[v, u] > limit:
+                place = np.float32(-OFF_PLACE)
             own[v, u] = letter[v, u] + place - np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
 
 

@@ -15,8 +15,10 @@ from numba import njit
 from pattern_gen import Pattern
 
 SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
-OUTLIER = 0.04  # share of true dots that fit no letter, over that of false ones
-POOR_FIT = 8.0  # half the squared distance (in sigmas) from the best letter at which a dot counts as fitting none
+OUTLIER = 0.04  # share of true dots that fit no hue, over that of false ones
+HUE_FLOOR = 3e-4  # likelihood from which on a hue counts as none of the letters': four sigmas
+LEVEL_RANGE = 4.0  # log signal over which intensities that do not follow the field are spread
+FIRST_STRAY = 0.1  # share of such dots before anything is decoded
 EDGE = 0.25  # log signal by which a neighbour may differ before it counts as beyond an albedo edge
 RIDGE = 0.6  # damping of the field's slopes
 
@@ -59,12 +61,13 @@ def read_alphabet(pattern: Pattern) -> Alphabet:
 @dataclass
 class LetterModel:
     """Fitted to one image: direction (G, 3) float32 unit colours, spread (G,) float32 of the angle [rad];
-    level (A,) float32 log signal relative to the field, level_spread (A,)."""
+    level (A,) float32 log signal relative to the field, level_spread (A,); stray: share of dots off the field."""
 
     direction: np.ndarray
     spread: np.ndarray
     level: np.ndarray
     level_spread: np.ndarray
+    stray: np.float32 = np.float32(FIRST_STRAY)
 
 
 def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
@@ -198,42 +201,50 @@ def _assign_levels(signal, field, group, letter_group, level, letter):  # type: 
 
 
 @njit(cache=True, fastmath=True)
-def log_likelihood(colour, signal, field, field_variance, noise, letter_group, direction, spread, level,  # type: ignore[no-untyped-def]
-                   level_spread, out, letter):
-    """Evidence (N, A) for each letter: log-likelihood ratio against a dot of any letter or of none.
+def letter_evidence(p, q, r, signal, field, field_variance, noise, letter_group, direction, spread, level,  # type: ignore[no-untyped-def]
+                    level_spread, stray, out):
+    """Evidence (A,) for each letter of one dot: log-likelihood ratio against a dot that happens to lie there.
 
-    A dot that fits no letter speaks against every letter, by OUTLIER (true dots at edges and highlights do occur).
-    Also writes the best letter (N,).
+    p, q, r: its B, G, R above the background. stray: share of true dots whose intensity does not follow the field (next to
+    albedo edges, in highlights); their hue still counts. False dots stray half of the time. A dot that fits no hue speaks
+    against every letter. Returns the best letter.
     """
-    n = len(signal)
     count = len(level)
-    distance = np.empty(len(direction), np.float32)
-    tiny = np.float32(1e-6)
-    for i in range(n):
-        p, q, r = colour[i, 0], colour[i, 1], colour[i, 2]
-        norm = max(np.sqrt(p * p + q * q + r * r), tiny)
-        relative = noise[i] / norm
-        relative *= relative
-        for g in range(len(direction)):
-            d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / norm
-            distance[g] = np.float32(2) * max(np.float32(1) - d, np.float32(0)) / (spread[g] * spread[g] + relative)
-        best = np.float32(-1e30)
-        for k in range(count):
-            e = signal[i] - field[i] - level[k]
-            s2 = level_spread[k] * level_spread[k] + relative + field_variance[i]
-            value = np.float32(-0.5) * (distance[letter_group[k]] + e * e / s2)
-            out[i, k] = value
-            if value > best:
-                best = value
-                letter[i] = k
-        total = np.float32(0)
-        for k in range(count):
-            out[i, k] = np.exp(out[i, k] - best)
-            total += out[i, k]
-        fit = np.float32(1) / (np.float32(1) + np.exp(-(best + np.float32(POOR_FIT))))
-        for k in range(count):
-            ratio = out[i, k] * count / total
-            out[i, k] = np.log(np.float32(1 - OUTLIER) * fit * ratio + np.float32(OUTLIER))
+    norm = max(np.sqrt(p * p + q * q + r * r), np.float32(1e-6))
+    relative = noise / norm
+    relative *= relative
+    best = np.float32(-1.0)
+    letter = 0
+    false = np.float32(HUE_FLOOR)
+    broad = np.float32(1 / LEVEL_RANGE)
+    for k in range(count):
+        g = letter_group[k]
+        d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / norm
+        angle2 = np.float32(2) * max(np.float32(1) - d, np.float32(0))
+        hue = np.exp(np.float32(-0.5) * angle2 / (spread[g] * spread[g] + relative))
+        e = signal - field - level[k]
+        s2 = level_spread[k] * level_spread[k] + relative + field_variance
+        near = np.exp(np.float32(-0.5) * e * e / s2) / np.sqrt(np.float32(6.2832) * s2)
+        false += hue * np.float32(0.5) * (near + broad) / count
+        value = hue * ((1 - stray) * near + stray * broad)
+        out[k] = value
+        # where strays tie, the nearer level is the letter
+        value = value + np.float32(1e-9) * hue / (np.float32(1) + e * e)
+        if value > best:
+            best = value
+            letter = k
+    for k in range(count):
+        out[k] = np.log((out[k] + np.float32(OUTLIER * HUE_FLOOR)) / false)
+    return letter
+
+
+@njit(cache=True, fastmath=True)
+def all_evidence(colour, signal, field, field_variance, noise, letter_group, direction, spread, level,  # type: ignore[no-untyped-def]
+                 level_spread, stray, out, letter):
+    """`letter_evidence` of N dots: writes the evidence (N, A) and the best letter (N,)."""
+    for i in range(len(signal)):
+        letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], signal[i], field[i], field_variance[i],
+                                    noise[i], letter_group, direction, spread, level, level_spread, stray, out[i])
 
 
 def log_signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -243,17 +254,18 @@ def log_signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> 
 
 
 def initial_letters(
-    alphabet: Alphabet, centre: np.ndarray, colour: np.ndarray, near: np.ndarray, use: np.ndarray
+    alphabet: Alphabet, centre: np.ndarray, colour: np.ndarray, near: np.ndarray, use: np.ndarray,
+    first: np.ndarray | None = None,
 ) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray, np.ndarray]:
     """First reading of all dots: letters (N,) int32, the model, log signal (N,) and its field (N,).
 
     colour (N, 3) float32; near (N, K) int32 neighbours; use (N,) bool: dots that look like part of a lattice.
     """
     chosen = colour[use] if use.sum() >= 9 else colour
-    gains = channel_gains(alphabet, chosen)
-    direction = alphabet.colour * gains
+    direction = alphabet.colour * channel_gains(alphabet, chosen) if first is None else first
     start = np.array([direction[alphabet.group == g].mean(0) for g in range(len(alphabet.direction))])
-    start += 0.08 * start.max(1, keepdims=True)  # some crosstalk is everywhere
+    if first is None:
+        start += 0.08 * start.max(1, keepdims=True)  # some crosstalk is everywhere
     direction = (start / np.linalg.norm(start, axis=1, keepdims=True)).astype(np.float32)
     some = np.empty(len(chosen), np.int32)
     for _ in range(4):
@@ -319,4 +331,6 @@ def fit_model(alphabet: Alphabet, colour: np.ndarray, signal: np.ndarray, field:
             deviation = signal[mine] - field[mine]
             level[a] = np.median(deviation)
             level_spread[a] = np.clip(1.48 * np.median(np.abs(deviation - level[a])), 0.03, 0.6)
-    return LetterModel(direction, spread, level, level_spread)
+    off = np.abs(signal[use] - field[use] - level[letter[use]]) > 4.0 * level_spread[letter[use]] + 0.1
+    stray = np.float32(np.clip(off.mean() * 1.2, 0.02, 0.4)) if len(off) >= 50 else np.float32(FIRST_STRAY)
+    return LetterModel(direction, spread, level, level_spread, stray)

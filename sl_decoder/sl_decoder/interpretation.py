@@ -1,0 +1,186 @@
+"""Interpretation of one image's dots: graph, letters, placement in the map, growth, judgement, recovery.
+
+Holds the arrays that the stages share. Per dot: N rows of which the first `n` are used; dots that are recovered where the
+map expects them are appended. Per map element: (V, U) arrays in axial coordinates, `claim` holds the dot of each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sl_decoder import graph, growth, judgement, letters, placement, recovery
+from sl_decoder.centres import Dots
+from sl_decoder.codebook import Codebook
+from sl_decoder.letters import Alphabet, LetterModel
+from sl_decoder.matched import CIRCLE
+
+SMALLEST_COMPONENT = 4  # dots; smaller components take part in growth only
+NEXT_EVIDENCE = 14.0  # log-likelihood ratio that further placements need once the pattern is known to be there
+PLACED_BELIEF = 1.5  # log-odds from which a placed dot may claim its element
+JUDGEMENTS = 12  # most releases of the worst per growth
+GROWTHS = 4
+RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
+
+
+class Interpretation:
+    """The dots of one image and what is known of them; see the module."""
+
+    def __init__(self, book: Codebook, alphabet: Alphabet, dots: Dots) -> None:
+        self.book = book
+        self.alphabet = alphabet
+        n = self.n = self.segmented = len(dots)
+        room = n + book.letters.size
+        self.centre = _roomy(dots.centre, room)
+        self.colour = _roomy(dots.colour, room)
+        self.covariance = _roomy(dots.covariance, room)
+        self.area = _roomy(dots.area, room)
+        self.noise = _roomy(dots.noise, room)
+        self.saturated = _roomy(dots.saturated, room)
+        self.cut = dots.cut
+        self.signal = np.zeros(room, np.float32)
+        self.field = np.zeros(room, np.float32)
+        self.variance = np.zeros(room, np.float32)
+        self.evidence = np.empty((room, book.alphabet), np.float32)
+        self.letter = np.zeros(room, np.int32)
+        self.holder_u = np.full(room, -1, np.int32)
+        self.holder_v = np.full(room, -1, np.int32)
+        self.banned_u = np.full(room, -1, np.int32)
+        self.banned_v = np.full(room, -1, np.int32)
+        shape = book.letters.shape
+        self.claim = np.full(shape, -1, np.int32)
+        self.belief = np.full(shape, -20.0, np.float32)
+        self.own = np.zeros(shape, np.float32)
+        self.letter_evidence = np.zeros(shape, np.float32)
+        self.error = np.zeros(shape, np.float32)
+        self.size = np.zeros(shape, np.float32)
+        self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
+        self.model: LetterModel | None = None
+        self.accepted = 0
+
+    def build_graph(self) -> None:
+        """Lattice links and connected components."""
+        n, lattice = self.n, self.book.lattice
+        self.near = graph.nearest(self.centre[:n], graph.NEIGHBOURS)
+        shape = graph.smooth_shapes(self.covariance[:n], self.near)
+        self.links = np.empty((n, lattice.directions), np.int32)
+        quality = np.empty(n, np.float32)
+        graph.local_bases(self.centre[:n], shape, self.near, lattice.directions, graph.TOLERANCE, self.links, quality)
+        self.component, frame, self.u, self.v = (np.empty(n, np.int32) for _ in range(4))
+        count, self.conflicts = graph.components(
+            self.links, quality, lattice.steps, self.component, frame, self.u, self.v
+        )
+        self.cell, self.at, self.width = placement.lay_out(
+            self.component, self.u, self.v, self.conflicts, count, SMALLEST_COMPONENT
+        )
+
+    def read_letters(self, first: NDArray[np.float64] | None = None) -> None:
+        """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
+        n = self.n
+        letter, self.model, signal, field, variance = letters.initial_letters(
+            self.alphabet, self.centre[:n], self.colour[:n], self.near, self.at >= 0, first
+        )
+        self.signal[:n], self.field[:n], self.variance[:n] = signal, field, variance
+        self.weigh_letters()
+
+    def weigh_letters(self) -> None:
+        """Evidence for each letter of each dot, from the current model and field."""
+        n, model = self.n, self.model
+        assert model is not None
+        letters.all_evidence(
+            self.colour[:n], self.signal[:n], self.field[:n], self.variance[:n], self.noise[:n], self.alphabet.group,
+            model.direction, model.spread, model.level, model.level_spread, model.stray, self.evidence[:n], self.letter[:n],
+        )
+
+    def place(self, first_evidence: float) -> int:
+        """Windows vote, placements are verified and claim their elements; returns how many were accepted."""
+        book = self.book
+        lattice = book.lattice
+        self.claim[:] = -1
+        self.holder_u[:] = -1
+        self.holder_v[:] = -1
+        votes, self.code = placement.window_votes(
+            self.cell, self.at, self.width, self.u, self.v, self.letter, lattice.window, book.alphabet, book.codes,
+            book.values, lattice.turn,
+        )
+        found, of = placement.rank_placements(votes, self.component, 1)
+        self.accepted, _ = placement.place(
+            found, of, votes, self.cell, self.at, self.width, self.component, self.u, self.v, self.evidence, book.letters,
+            lattice.window, lattice.turn, placement.COUPLING, placement.SWEEPS, first_evidence, NEXT_EVIDENCE,
+            PLACED_BELIEF, self.claim, self.holder_u, self.holder_v,
+        )
+        self.banned_u[:] = -1
+        self.banned_v[:] = -1
+        return self.accepted
+
+    def grow(self, limit: float) -> None:
+        """Grow from the claims over the segmented dots, judge, release what is below `limit`, until it is stable."""
+        for turn in range(GROWTHS):
+            added = growth.grow(
+                self.claim, self.holder_u, self.holder_v, self.banned_u, self.banned_v, self.centre, self.near,
+                self.evidence, self.book.letters, self.book.lattice.steps, growth.REACH,
+            )
+            if turn and not added:
+                return
+            self.judge(limit)
+
+    def judge(self, limit: float) -> None:
+        """Judge all claims; release the worst below `limit` and judge again until none is left."""
+        lattice = self.book.lattice
+        for _ in range(JUDGEMENTS):
+            judgement.gather(
+                self.claim, self.centre, self.area, self.evidence, self.book.letters, lattice.steps, self.letter_evidence,
+                self.error, self.kind, self.size,
+            )
+            judgement.own_evidence(self.claim, self.letter_evidence, self.error, self.kind, self.size, self.own)
+            judgement.solve(self.claim, self.own, lattice.window, self.belief)
+            if not judgement.release_worst(
+                self.claim, self.belief, limit, self.holder_u, self.holder_v, self.banned_u, self.banned_v
+            ):
+                return
+
+    def refit(self) -> None:
+        """Fit the letter model to the decoded dots, and weigh all letters again."""
+        n, model = self.n, self.model
+        assert model is not None
+        held = self.holder_v[:n] >= 0
+        known = self.letter[:n].copy()
+        known[held] = self.book.letters[self.holder_v[:n][held], self.holder_u[:n][held]]
+        self.signal[:n] = letters.log_signal(self.colour[:n], model.direction, self.alphabet.group[known])
+        letters.local_field(
+            self.centre[:n], self.signal[:n], self.near, known, model.level, held, self.field[:n], self.variance[:n]
+        )
+        self.model = letters.fit_model(
+            self.alphabet, self.colour[:n], self.signal[:n], self.field[:n], known, held, model.direction, model.level
+        )
+        self.weigh_letters()
+
+    def recover(self, smooth: NDArray[np.uint8], limit: float) -> None:
+        """Measure the dots that the lattice expects and segmentation did not give; judge."""
+        book, lattice, model = self.book, self.book.lattice, self.model
+        assert model is not None
+        offset = recovery.matched_offset(
+            self.claim, smooth, self.centre, self.covariance, self.signal, book.letters, lattice.steps,
+            self.alphabet.group, model.direction, CIRCLE, 200,
+        )
+        tried = np.zeros(self.claim.shape, np.bool_)
+        before = self.n
+        self.n = recovery.recover(
+            self.claim, self.holder_u, self.holder_v, tried, self.n, smooth, self.centre, self.colour, self.covariance,
+            self.area, self.noise, self.saturated, self.signal, self.evidence, self.letter, book.letters, lattice.steps,
+            lattice.window, self.alphabet.group, model.direction, model.spread, model.level, model.level_spread, model.stray, offset,
+            CIRCLE, recovery.REACH, RECOVERED_LEAST,
+        )
+        if self.n > before:
+            self.judge(limit)
+            # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
+            rim = (self.claim >= before) & (self.kind >= growth.EXTRAPOLATED)
+            for values in (self.holder_u, self.holder_v):
+                values[self.claim[rim]] = -1
+            self.claim[rim] = -1
+
+
+def _roomy(values: NDArray, room: int) -> NDArray:
+    result = np.empty((room, *values.shape[1:]), values.dtype)
+    result[: len(values)] = values
+    return result

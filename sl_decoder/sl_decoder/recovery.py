@@ -1,0 +1,158 @@
+"""Recovery: dots that were not segmented, measured where the decoded lattice expects them.
+
+Faint dots below the threshold of segmentation, and dots that merged with a neighbour, are looked for at their predicted
+places with their expected shape and colour. What is found is claimed like any other dot and judged with the rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sl_decoder.growth import EXTRAPOLATED, UNPREDICTED, lattice_error, predict
+from sl_decoder.letters import letter_evidence
+from sl_decoder.matched import measure_at
+
+REACH = 0.3  # search radius around the prediction, lattice units
+APART = 0.5  # a recovered dot keeps this distance from all held ones, lattice units
+
+
+@njit(cache=True, fastmath=True)
+def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covariance, area, noise, saturated, signal,  # type: ignore[no-untyped-def]
+            log_p, letter, map_letters, steps, window, letter_group, direction, spread, level, level_spread,
+            stray, level_offset, circle, reach, least):
+    """Look for the dots of all free elements next to held ones, outwards until nothing more is found.
+
+    Writes new dots behind the first `n` of the per-dot arrays (as long as there is room) and claims them. tried (V, U)
+    bool: elements not to look at again. Returns the new number of dots.
+    """
+    rows, cols = claim.shape
+    capacity = len(holder_u)
+    queue = np.empty((rows * cols, 2), np.int32)
+    waiting = np.zeros((rows, cols), np.bool_)
+    tail = 0
+    head = 0
+    found = np.empty(7, np.float32)
+    mix = np.empty(3, np.float32)
+    for v in range(rows):
+        for u in range(cols):
+            if claim[v, u] >= 0 or map_letters[v, u] < 0 or tried[v, u]:
+                continue
+            for d in range(len(steps)):
+                vv, uu = v + steps[d, 1], u + steps[d, 0]
+                if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
+                    queue[tail, 0], queue[tail, 1] = v, u
+                    waiting[v, u] = True
+                    tail += 1
+                    break
+    while head < tail and n < capacity:
+        v, u = queue[head, 0], queue[head, 1]
+        head += 1
+        x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+        if kind == UNPREDICTED:
+            waiting[v, u] = False
+            continue
+        cxx = cxy = cyy = np.float32(0)
+        field = np.float32(0)
+        square = np.float32(0)
+        size = np.float32(0)
+        m = 0
+        for p in range(1, len(window)):
+            vv, uu = v + window[p, 1], u + window[p, 0]
+            if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
+                j = claim[vv, uu]
+                cxx += covariance[j, 0]
+                cxy += covariance[j, 1]
+                cyy += covariance[j, 2]
+                size += area[j]
+                value = signal[j] - level[map_letters[vv, uu]]
+                field += value
+                square += value * value
+                m += 1
+        if m < 2:
+            waiting[v, u] = False
+            continue
+        tried[v, u] = True
+        field /= m
+        variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
+        expected = map_letters[v, u]
+        g = letter_group[expected]
+        total = max(direction[g, 0], np.float32(0)) + max(direction[g, 1], np.float32(0)) + max(direction[g, 2], np.float32(0))
+        for c in range(3):
+            mix[c] = max(direction[g, c], np.float32(0)) / total
+        if not measure_at(smooth, x, y, cxx / m, cxy / m, cyy / m, mix, ax, ay, bx, by, np.float32(reach), circle, found):
+            continue
+        clear = True
+        for p in range(1, len(window)):
+            vv, uu = v + window[p, 1], u + window[p, 0]
+            if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
+                j = claim[vv, uu]
+                if lattice_error(found[0] - centre[j, 0], found[1] - centre[j, 1], ax, ay, bx, by) < APART:
+                    clear = False
+        if not clear:
+            continue
+        i = n
+        projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
+        s = np.log(max(projected, np.float32(0.5))) - level_offset
+        letter[i] = letter_evidence(found[2], found[3], found[4], s, field, variance, found[5], letter_group, direction,
+                                    spread, level, level_spread, stray, log_p[i])
+        if log_p[i, expected] < least:
+            continue
+        centre[i, 0], centre[i, 1] = found[0], found[1]
+        colour[i, 0], colour[i, 1], colour[i, 2] = found[2], found[3], found[4]
+        covariance[i, 0], covariance[i, 1], covariance[i, 2] = cxx / m, cxy / m, cyy / m
+        area[i] = int(size / m)
+        noise[i] = found[5]
+        saturated[i] = found[6]
+        signal[i] = s
+        claim[v, u] = i
+        holder_v[i], holder_u[i] = v, u
+        n += 1
+        for d in range(len(steps)):
+            vv, uu = v + steps[d, 1], u + steps[d, 0]
+            if (0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] < 0 and map_letters[vv, uu] >= 0
+                    and not tried[vv, uu] and not waiting[vv, uu] and tail < len(queue)):
+                queue[tail, 0], queue[tail, 1] = vv, uu
+                waiting[vv, uu] = True
+                tail += 1
+    return n
+
+
+@njit(cache=True, fastmath=True)
+def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, letter_group, direction, circle, most):  # type: ignore[no-untyped-def]
+    """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
+    rows, cols = claim.shape
+    values = np.empty(most, np.float32)
+    found = np.empty(7, np.float32)
+    mix = np.empty(3, np.float32)
+    n = 0
+    held = 0
+    for v in range(rows):
+        for u in range(cols):
+            held += claim[v, u] >= 0
+    stride = max(1, held // most)
+    count = 0
+    for v in range(rows):
+        for u in range(cols):
+            i = claim[v, u]
+            if i < 0:
+                continue
+            count += 1
+            if count % stride or n >= most:
+                continue
+            x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+            if kind >= EXTRAPOLATED:
+                continue
+            g = letter_group[map_letters[v, u]]
+            total = np.float32(0)
+            for c in range(3):
+                mix[c] = max(direction[g, c], np.float32(0))
+                total += mix[c]
+            for c in range(3):
+                mix[c] /= total
+            if measure_at(smooth, centre[i, 0], centre[i, 1], covariance[i, 0], covariance[i, 1], covariance[i, 2], mix,
+                          ax, ay, bx, by, np.float32(0.2), circle, found):
+                projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
+                values[n] = np.log(max(projected, np.float32(0.5))) - signal[i]
+                n += 1
+    return np.median(values[:n]) if n > 0 else np.float32(0)
