@@ -114,6 +114,12 @@ class SetpointStream:
             self._trajectory = None
         return state
 
+    def ahead(self, time: float) -> MotionState | None:
+        """Return the state ``time`` [s] from now on the present trajectory; None before the first start."""
+        if self._trajectory is None:
+            return self._state
+        return self._trajectory.at(self._tick * self.period + time)
+
     def outlook(self, horizon: float) -> list[MotionState]:
         """Return the setpoints to come, one per period.
 

@@ -22,6 +22,8 @@ from sl_common import transforms
 
 Array = NDArray[np.float64]
 
+_LOOK_AHEAD = 0.15
+"""How far ahead on the trajectory the condition number is looked at [s]: about the time it takes to slow down."""
 _SPEED_STEP = 1.25
 """Ratio by which the speed factor near a singularity has to change before the motion is planned anew."""
 
@@ -270,9 +272,10 @@ class Supervisor:
         return watchdog.deviation(off, self._stream.limits.names, self.options)
 
     def _check_singularity(self, task: Task) -> None:
-        assert self._stream.state is not None
+        ahead = self._stream.ahead(_LOOK_AHEAD)
+        assert ahead is not None
         thresholds = self.options.thresholds
-        condition = float(condition_number(self._kinematics.jacobian(self._stream.state.position)))
+        condition = float(condition_number(self._kinematics.jacobian(ahead.position)))
         if not self._watch.allows(condition):
             if task.tracks:
                 self._hold(task, watchdog.singular(condition, self.options))

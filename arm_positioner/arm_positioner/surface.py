@@ -11,6 +11,10 @@ Array = NDArray[np.float64]
 
 _PARAMETERS = 6  # of the quadric
 _TUKEY = 4.685  # 95 % efficiency for normal noise
+_ENOUGH = 400
+"""Points in a neighbourhood past which it need not grow: calibration errors then outweigh the noise."""
+_JUDGES = 150
+"""Points that decide between candidate planes."""
 _AGREEMENT = 2.0
 """Standard deviations within which neighbourhoods of different size have to agree."""
 _ROUNDING = np.array([1e-5, 1e-4, 1e-4])  # m, rad, rad
@@ -96,7 +100,7 @@ def fit_patch(
             failure = str(error)
             if accepted:
                 break
-        if len(near) == len(points) or radius > 20 * spacing:
+        if len(near) >= min(len(points), _ENOUGH):
             break
         radius *= 1.25
     if not accepted:
@@ -188,10 +192,11 @@ def _robust_plane(points: Array, weights: Array) -> tuple[Array, Array]:
     if not usable.any():
         raise TargetError("the points of the object lie on a line: no surface normal; move the camera closer")
     normals, origins = normals[usable] / length[usable, None], triples[usable, 0]
-    residuals = np.abs(normals @ points.T - np.einsum("ij,ij->i", normals, origins)[:, None])
-    best = int(np.argmin(np.median(residuals, axis=1)))
-    limit = 2.5 * 1.4826 * np.median(residuals[best]) + 1e-9
-    inliers = residuals[best] <= limit
+    judges = points[rng.permutation(len(points))[:_JUDGES]]
+    residuals = np.abs(normals @ judges.T - np.einsum("ij,ij->i", normals, origins)[:, None])
+    medians = np.median(residuals, axis=1)
+    best = int(np.argmin(medians))
+    inliers = np.abs((points - origins[best]) @ normals[best]) <= 2.5 * 1.4826 * medians[best] + 1e-9
     w = np.maximum(weights[inliers], 1e-3)
     origin = np.average(points[inliers], axis=0, weights=w)
     centred = (points[inliers] - origin) * np.sqrt(w)[:, None]
