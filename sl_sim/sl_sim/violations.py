@@ -50,8 +50,11 @@ class ViolationCounter:
 
     @property
     def moving(self) -> bool:
-        """The last two setpoints differ."""
-        return bool((self._history[0] != self._history[1]).any())
+        """Holding the last setpoint from now on would violate the acceleration or jerk limits."""
+        held = np.vstack([np.tile(self._history[0], (3, 1)), self._history[1:]])
+        acceleration, jerk = (np.diff(held, n, axis=0) / self._period**n for n in (2, 3))
+        limits = self._limits
+        return bool((np.abs(acceleration) > limits.acceleration).any() or (np.abs(jerk) > limits.jerk).any())
 
     def add(self, positions: np.ndarray) -> tuple[str, ...]:
         """Take the next setpoint (n,); returns the kinds of limits that it violates."""
