@@ -33,9 +33,9 @@ class Graph:
     count: int
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True, fastmath=True)
 def nearest(points, k):  # type: ignore[no-untyped-def]
-    """Indices (N, k) int32 of the k nearest other points of points (N, 2), by distance, -1 where there are fewer."""
+    """Indices (N, k) int32 of the k nearest other points of points (N, 2) float32, by distance, -1 where there are fewer."""
     n = len(points)
     out = np.full((n, k), -1, np.int32)
     if n < 2:
@@ -47,67 +47,90 @@ def nearest(points, k):  # type: ignore[no-untyped-def]
         x1 = max(x1, points[i, 0])
         y0 = min(y0, points[i, 1])
         y1 = max(y1, points[i, 1])
-    cell = max(np.sqrt((x1 - x0 + 1.0) * (y1 - y0 + 1.0) * 4.0 / n), 1.0)
-    nx = int((x1 - x0) / cell) + 1
-    ny = int((y1 - y0) / cell) + 1
+    cell = np.float32(max(np.sqrt((x1 - x0 + 1.0) * (y1 - y0 + 1.0) * 3.0 / n), 1.0))
+    scale = np.float32(1) / cell
+    nx = int((x1 - x0) * scale) + 1
+    ny = int((y1 - y0) * scale) + 1
     head = np.zeros(nx * ny + 1, np.int32)
     where = np.empty(n, np.int32)
     for i in range(n):
-        c = int((points[i, 1] - y0) / cell) * nx + int((points[i, 0] - x0) / cell)
+        c = int((points[i, 1] - y0) * scale) * nx + int((points[i, 0] - x0) * scale)
         where[i] = c
         head[c + 1] += 1
     for c in range(nx * ny):
         head[c + 1] += head[c]
     fill = head[:-1].copy()
     members = np.empty(n, np.int32)
+    sx = np.empty(n, np.float32)
+    sy = np.empty(n, np.float32)
     for i in range(n):
-        members[fill[where[i]]] = i
+        f = fill[where[i]]
+        members[f] = i
+        sx[f] = points[i, 0]
+        sy[f] = points[i, 1]
         fill[where[i]] += 1
     best = np.empty(k, np.float32)
-    for i in range(n):
-        px, py = points[i, 0], points[i, 1]
-        cx = int((px - x0) / cell)
-        cy = int((py - y0) / cell)
+    who = np.empty(k, np.int32)
+    big = np.float32(3e38)
+    for s in range(n):
+        i = members[s]
+        px, py = sx[s], sy[s]
+        cx = int((px - x0) * scale)
+        cy = int((py - y0) * scale)
         found = 0
-        ring = 0
+        worst = big
+        ring = 1
+        first = True
         while ring <= max(nx, ny):
-            if found == k:
-                # nothing in this ring can be nearer than the distance to the border of what was searched
-                gap = min(min(px - x0 - (cx - ring + 1) * cell, x0 + (cx + ring) * cell - px),
-                          min(py - y0 - (cy - ring + 1) * cell, y0 + (cy + ring) * cell - py))
-                if gap * gap > best[k - 1]:
-                    break
             for gy in range(max(0, cy - ring), min(ny, cy + ring + 1)):
-                edge = gy == cy - ring or gy == cy + ring
-                step = 1 if edge or ring == 0 else 2 * ring
-                gx = cx - ring
-                while gx <= cx + ring:
-                    if 0 <= gx < nx:
-                        c = gy * nx + gx
-                        for m in range(head[c], head[c + 1]):
-                            j = members[m]
-                            if j == i:
-                                continue
-                            d = (points[j, 0] - px) ** 2 + (points[j, 1] - py) ** 2
-                            if found < k:
-                                p = found
-                                found += 1
-                            elif d < best[k - 1]:
-                                p = k - 1
-                            else:
-                                continue
-                            while p > 0 and best[p - 1] > d:
-                                best[p] = best[p - 1]
-                                out[i, p] = out[i, p - 1]
-                                p -= 1
-                            best[p] = d
-                            out[i, p] = j
-                    gx += step
+                row = gy * nx
+                whole = first or gy == cy - ring or gy == cy + ring
+                left, right = max(0, cx - ring), min(nx - 1, cx + ring)
+                # the first pass takes the 3x3 block, later passes the two ends of inner rows only
+                for part in range(1 if whole else 2):
+                    if whole:
+                        begin, end = head[row + left], head[row + right + 1]
+                    elif part == 0:
+                        if cx - ring < 0:
+                            continue
+                        begin, end = head[row + left], head[row + left + 1]
+                    else:
+                        if cx + ring >= nx:
+                            continue
+                        begin, end = head[row + right], head[row + right + 1]
+                    for m in range(begin, end):
+                        ex = sx[m] - px
+                        ey = sy[m] - py
+                        d = ex * ex + ey * ey
+                        if d >= worst or m == s:
+                            continue
+                        if found < k:
+                            p = found
+                            found += 1
+                        else:
+                            p = k - 1
+                        while p > 0 and best[p - 1] > d:
+                            best[p] = best[p - 1]
+                            who[p] = who[p - 1]
+                            p -= 1
+                        best[p] = d
+                        who[p] = members[m]
+                        if found == k:
+                            worst = best[k - 1]
+            first = False
+            if found == k:
+                # nothing outside of what was searched can be nearer than its border
+                gap = min(min(px - x0 - (cx - ring) * cell, x0 + (cx + ring + 1) * cell - px),
+                          min(py - y0 - (cy - ring) * cell, y0 + (cy + ring + 1) * cell - py))
+                if gap * gap >= worst:
+                    break
             ring += 1
+        for p in range(found):
+            out[i, p] = who[p]
     return out
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True, fastmath=True)
 def smooth_shapes(covariance, near):  # type: ignore[no-untyped-def]
     """Mean footprint (N, 3) over each dot and its eight nearest, each normalised to unit area first."""
     n = len(covariance)
@@ -130,21 +153,7 @@ def smooth_shapes(covariance, near):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, boundscheck=False)
-def _closest(ex, ey, dx, dy, m, limit, skip):  # type: ignore[no-untyped-def]
-    best = limit * limit
-    to = -1
-    for j in range(m):
-        if j == skip:
-            continue
-        d = (dx[j] - ex) ** 2 + (dy[j] - ey) ** 2
-        if d < best:
-            best = d
-            to = j
-    return to, best
-
-
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def local_bases(points, shape, near, directions, tolerance, links, quality):  # type: ignore[no-untyped-def]
     """Lattice neighbours of every dot: links (N, D) int32, quality (N,) float32 (sum of squared errors, inf none)."""
     n, k = near.shape
@@ -153,22 +162,24 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):  # 
     rr = np.empty(k, np.float32)
     order = np.empty(k, np.int32)
     chosen = np.empty(6, np.int32)
-    ideal = 2.0 * np.pi / directions
+    cosine_ideal = np.float32(np.cos(2.0 * np.pi / directions))
+    sine_ideal = np.float32(np.sin(2.0 * np.pi / directions))
     for i in range(n):
         for d in range(directions):
             links[i, d] = -1
         quality[i] = np.inf
-        # whitening by the inverse square root of the shape (unit determinant): (S + I) / sqrt(tr S + 2)
+        # whitening by the inverse square root of the shape (unit determinant): (S^-1 + I) / sqrt(tr S + 2)
         a, b, c = shape[i, 0], shape[i, 1], shape[i, 2]
-        t = np.sqrt(a + c + 2.0)
-        wxx, wxy, wyy = (c + 1.0) / t, -b / t, (a + 1.0) / t
+        t = np.float32(1) / np.sqrt(a + c + np.float32(2))
+        wxx, wxy, wyy = (c + 1) * t, -b * t, (a + 1) * t
         m = 0
+        px, py = points[i, 0], points[i, 1]
         for q in range(k):
             j = near[i, q]
             if j < 0:
                 break
-            ex = points[j, 0] - points[i, 0]
-            ey = points[j, 1] - points[i, 1]
+            ex = points[j, 0] - px
+            ey = points[j, 1] - py
             fx = wxx * ex + wxy * ey
             fy = wxy * ex + wyy * ey
             r = fx * fx + fy * fy
@@ -178,31 +189,35 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):  # 
                 p -= 1
             rr[p], dx[p], dy[p], order[p] = r, fx, fy, j
             m += 1
-        best = np.inf
+        best = np.float32(np.inf)
+        done = False
         for ia in range(min(m, 4)):
-            ax, ay = dx[ia], dy[ia]
-            la = np.sqrt(rr[ia])
-            if la * la > 4.0 * rr[0]:
+            if done or rr[ia] > 4 * rr[0]:
                 break
+            ax, ay = dx[ia], dy[ia]
+            la2 = rr[ia]
             tried = 0
             for ib in range(m):
                 if ib == ia:
                     continue
-                lb = np.sqrt(rr[ib])
-                if lb > 2.2 * la:
+                lb2 = rr[ib]
+                if lb2 > np.float32(4.84) * la2:
                     break
                 cross = ax * dy[ib] - ay * dx[ib]
+                if cross <= 0:
+                    continue
                 dot = ax * dx[ib] + ay * dy[ib]
-                angle = np.arctan2(cross, dot)
-                if abs(angle - ideal) > 0.62:
+                # within 35 degrees of the ideal angle: cosine of the difference
+                cosine = (cosine_ideal * dot + sine_ideal * cross) / np.sqrt(la2 * lb2)
+                if cosine < np.float32(0.814):
                     continue
                 tried += 1
                 if tried > 3:
                     break
                 bx, by = dx[ib], dy[ib]
-                limit = tolerance * min(la, lb)
+                limit2 = tolerance * tolerance * min(la2, lb2)
                 missing = 0
-                error = 0.0
+                error = np.float32(0)
                 for d in range(directions):
                     if d == 0:
                         chosen[0] = ia
@@ -213,34 +228,42 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):  # 
                     if directions == 4:
                         ex = -ax if d == 2 else -bx
                         ey = -ay if d == 2 else -by
+                    elif d == 2:
+                        ex, ey = bx - ax, by - ay
+                    elif d == 3:
+                        ex, ey = -ax, -ay
+                    elif d == 4:
+                        ex, ey = -bx, -by
                     else:
-                        if d == 2:
-                            ex, ey = bx - ax, by - ay
-                        elif d == 3:
-                            ex, ey = -ax, -ay
-                        elif d == 4:
-                            ex, ey = -bx, -by
-                        else:
-                            ex, ey = ax - bx, ay - by
-                    to, e = _closest(ex, ey, dx, dy, m, limit, -1)
+                        ex, ey = ax - bx, ay - by
+                    e = limit2
+                    to = -1
+                    for j in range(m):
+                        fx = dx[j] - ex
+                        fy = dy[j] - ey
+                        r = fx * fx + fy * fy
+                        if r < e:
+                            e = r
+                            to = j
                     chosen[d] = to
+                    error += e
                     if to < 0:
                         missing += 1
-                        error += limit * limit
-                    else:
-                        error += e
-                if missing > (1 if directions == 4 else 2):
+                if missing > directions // 2 - 1:
                     continue
                 # small cells, small errors, round cells first
-                score = (la * la + lb * lb) / rr[0] * (1.0 + error / (limit * limit)) * (1.0 + (angle - ideal) ** 2) + 4.0 * missing
+                score = (la2 + lb2) / rr[0] * (1 + error / limit2) * (1 + 2 * (1 - cosine)) + 4 * missing
                 if score < best:
                     best = score
                     quality[i] = score
                     for d in range(directions):
                         links[i, d] = -1 if chosen[d] < 0 else order[chosen[d]]
+                if missing == 0 and ia == 0 and lb2 < 2 * la2 and error < np.float32(0.5) * limit2 and cosine > np.float32(0.95):
+                    done = True
+                    break
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def components(links, quality, steps, component, frame, u, v):  # type: ignore[no-untyped-def]
     """Follow links from the best dots on; returns the number of components.
 

@@ -155,6 +155,7 @@ def solve(claim, own, window, belief):  # type: ignore[no-untyped-def]
             if claim[v, u] >= 0:
                 q[v, u] = np.tanh(0.5 * max(-4.0, min(4.0, own[v, u])))
     for _ in range(SWEEPS):
+        moved = np.float32(0)
         for v in range(rows):
             for u in range(cols):
                 if claim[v, u] < 0:
@@ -172,4 +173,12 @@ def solve(claim, own, window, belief):  # type: ignore[no-untyped-def]
                     elif two:
                         total += np.float32(SINGLE) * q[v2, u2]
                 belief[v, u] = own[v, u] + total
-                q[v, u] = np.tanh(np.float32(0.5) * belief[v, u])
+                # tanh(x / 2) by its rational approximation, good to 0.01
+                x = max(np.float32(-8), min(np.float32(8), belief[v, u])) * np.float32(0.5)
+                x2 = x * x
+                t = x * (27 + x2) / (27 + 9 * x2)
+                t = max(np.float32(-1), min(np.float32(1), t))
+                moved = max(moved, abs(t - q[v, u]))
+                q[v, u] = t
+        if moved < np.float32(0.05):
+            break
