@@ -2,8 +2,8 @@
 
 Each pixel is integrated over samples x samples sub-pixels. Rays are traced through a lattice of nodes; where the
 surface between four nodes is smooth, evenly lit and of one body, the sub-pixels' projector coordinates and light
-transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where neither
-camera, projector nor scene has moved, all of this is kept and only the light is gathered again.
+transport follow by interpolation, elsewhere (edges, shadows, creases) each sub-pixel gets rays of its own. Where
+neither camera, projector nor scene has moved, all of this is kept and only the light is gathered again.
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from sl_sim import arm
+from sl_common.errors import InvalidInputError
 from sl_sim.arm import Servo
 from sl_sim.driver import ArmDriver
 
-from sl_common.errors import InvalidInputError
+from sl_sim import arm
 
 LIMITS = arm.limits()
 START = np.array([0.1, -1.5, 1.5, 0.0, 0.3, -0.2])
@@ -65,7 +65,7 @@ def test_a_stream_that_ends_in_motion_is_counted_and_the_arm_holds_its_last_setp
 @pytest.mark.parametrize(("offset", "jumps"), [(1.9e-3, 0), (2.1e-3, 1)])
 def test_the_first_setpoint_is_compared_with_the_joints(offset, jumps):
     d = driver()
-    d.receive(START + [0, 0, offset, 0, 0, 0])
+    d.receive(START + np.array([0, 0, offset, 0, 0, 0]))
     assert d.report()["first_setpoint_jumps"] == jumps
     assert d.report()["largest_jump"] == pytest.approx(offset)
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from sl_sim import isosurface, meshes, scenes
 
 from sl_common import transforms
+from sl_sim import isosurface, meshes, scenes
 
 
 def volume(mesh):

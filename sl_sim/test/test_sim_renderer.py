@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from sl_sim import kernels, meshes
+from sl_common.cameras import CameraModel
 from sl_sim.light import LightSource, Occluders, aimed_projector
 from sl_sim.projector import ProjectorOptions, light_image
 from sl_sim.raycast import Body, RayCaster
@@ -10,7 +10,7 @@ from sl_sim.renderer import Renderer
 from sl_sim.spot_truth import spot_truth
 
 from sl_common import transforms
-from sl_common.cameras import CameraModel
+from sl_sim import kernels, meshes
 
 REACH = 3.7
 UP = np.array([0.0, 1.0, 0.0])
@@ -73,7 +73,9 @@ def test_a_facing_white_wall_shines_by_the_inverse_square_and_lamberts_cosine():
     facing = aimed_projector(PROJECTOR, np.array([0.0, 0.0, 1.0]), np.zeros(3), up=UP)
     level = {}
     for distance, tilt in ((1.0, 0.0), (2.0, 0.0), (1.0, 60.0)):
-        turn = transforms.make(transforms.rotation_exp(np.array([0, np.radians(tilt), 0])), np.array([0, 0, 1 - distance]))
+        turn = transforms.make(
+            transforms.rotation_exp(np.array([0, np.radians(tilt), 0])), np.array([0, 0, 1 - distance])
+        )
         wall = meshes.rectangle(4, 4, albedo=(0.8, 0.6, 0.4))
         renderer = Renderer(
             RayCaster([Body(wall, turn)]), CAMERA, LightSource(PROJECTOR, facing), RenderOptions(**PLAIN)
@@ -100,8 +102,10 @@ def test_what_the_projector_cannot_reach_is_dark_and_what_the_camera_cannot_see_
     assert alone[y, x].min() > 0.1
     assert both[y, x].max() == 0.0
     # a capsule in the place of the ball keeps the same light away
-    capsule = Occluders(np.array([[middle, middle + [0, 0, 1e-3]]]), np.array([0.08]))
-    shaded = Renderer(RayCaster([wall]), CAMERA, SOURCE, RenderOptions(**PLAIN)).radiance(light, view(), occluders=capsule)
+    capsule = Occluders(np.array([[middle, middle + np.array([0, 0, 1e-3])]]), np.array([0.08]))
+    shaded = Renderer(RayCaster([wall]), CAMERA, SOURCE, RenderOptions(**PLAIN)).radiance(
+        light, view(), occluders=capsule
+    )
     assert shaded[y, x].max() == 0.0
     assert (shaded == 0).sum() < 0.5 * shaded.size
 
@@ -123,7 +127,10 @@ def test_interpolation_agrees_with_tracing_every_sub_pixel(monkeypatch):
     bodies = [
         Body(meshes.rectangle(3, 3), np.eye(4)),
         Body(meshes.sphere(0.1), transforms.make(np.eye(3), np.array([0.1, 0.0, 0.1]))),
-        Body(meshes.box((0.15, 0.2, 0.2)), transforms.make(transforms.rotation_exp(np.array([0.3, 0.5, 0.1])), [-0.1, 0, 0.1])),
+        Body(
+            meshes.box((0.15, 0.2, 0.2)),
+            transforms.make(transforms.rotation_exp(np.array([0.3, 0.5, 0.1])), [-0.1, 0, 0.1]),
+        ),
     ]
     caster = RayCaster(bodies)
     images = {

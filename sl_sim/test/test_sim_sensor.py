@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from sl_sim import sensor
+from sl_common.cameras import CameraModel
 from sl_sim.projector import LIGHT_SCALE, ProjectorOptions, channel_light, light_image, linear_to_srgb, srgb_to_linear
 from sl_sim.sensor import SensorOptions
 
-from sl_common.cameras import CameraModel
+from sl_sim import sensor
 
 IDENTITY = tuple(np.eye(3))
 PLAIN = {"crosstalk": IDENTITY, "gamma": 1.0, "blur": 0.0, "bayer": ""}
@@ -75,7 +75,9 @@ def test_the_same_generator_gives_the_same_image():
 
 def test_jpeg_changes_little_and_keeps_the_size():
     signal = np.random.default_rng(0).uniform(0.2, 0.5, (64, 64, 3)).astype(np.float32)
-    plain, packed = (sensor.expose(signal, 1.0, SensorOptions(jpeg=q, noise=False), np.random.default_rng(0)) for q in (0, 90))
+    plain, packed = (
+        sensor.expose(signal, 1.0, SensorOptions(jpeg=q, noise=False), np.random.default_rng(0)) for q in (0, 90)
+    )
     assert packed.shape == plain.shape
     assert 0 < np.abs(packed.astype(int) - plain).mean() < 12
 

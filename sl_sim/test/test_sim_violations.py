@@ -3,8 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
-from sl_sim import arm
 from sl_sim.violations import KINDS, ViolationCounter
+
+from sl_sim import arm
 
 LIMITS = arm.limits()
 T = 0.008
@@ -26,7 +27,7 @@ def along(joint, values, offset=0.0):
 
 
 def ramped(kind, size, joint):
-    """A stream whose `kind` of derivative reaches size, lower ones following from integration, higher ones kept small."""
+    """A stream whose `kind` of derivative reaches size, higher ones kept small."""
     if kind == "jerk":
         jerk = np.array([0.0] * 4 + [size, -size, -size, size] + [0.0] * 4)
         return along(joint, np.cumsum(np.cumsum(np.cumsum(jerk) * T) * T) * T)
