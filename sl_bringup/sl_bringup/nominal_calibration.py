@@ -63,9 +63,17 @@ def perturbed(true: Calibration, seed: int, errors: CalibrationErrors | None = N
     )
 
 
-def save(folder: Path, calibration: Calibration, *, note: str, pattern_id: str = "") -> None:
-    """Write camera.yaml, projector.yaml, hand_eye.yaml and projector_pose.yaml; ``note`` says where they come from."""
-    extra = provenance(samples=0, residuals={}) | {"note": note}
+def save(folder: Path, calibration: Calibration, *, note: str, pattern_id: str = "", date: str = "") -> None:
+    """Write camera.yaml, projector.yaml, hand_eye.yaml and projector_pose.yaml.
+
+    Args:
+        folder: Where to.
+        calibration: What.
+        note: Where it comes from.
+        pattern_id: Pattern that the calibration holds for; empty: any.
+        date: Instead of the present time.
+    """
+    extra = provenance(samples=0, residuals={}) | {"note": note} | ({"date": date} if date else {})
     save_camera(folder / CAMERA_FILE, calibration.camera, name="camera", extra=extra)
     shown = {"pattern_id": pattern_id} if pattern_id else {}
     save_camera(folder / PROJECTOR_FILE, calibration.projector, name="projector", extra=extra | shown)
