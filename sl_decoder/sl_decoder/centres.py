@@ -42,7 +42,7 @@ class Dots:
 
 
 @njit(cache=True, fastmath=True)
-def _measure(signal, smooth, hat, label, pixels, start, peak, floor, circle,  # type: ignore[no-untyped-def]
+def _measure(signal, smooth, hat, label, xs, ys, start, peak, floor, circle,  # type: ignore[no-untyped-def]
              centre, colour, covariance, area, noise, saturated, cut):
     h, w = hat.shape
     values = hat.ravel()
@@ -54,6 +54,8 @@ def _measure(signal, smooth, hat, label, pixels, start, peak, floor, circle,  # 
     vx = np.empty(largest, np.float32)
     vy = np.empty(largest, np.float32)
     vv = np.empty(largest, np.float32)
+    ring_value = np.empty(len(circle), np.uint8)
+    ring_place = np.empty(len(circle), np.int64)
     one = np.float32(1.0)
     for j in range(len(peak)):
         s, e = start[j], start[j + 1]
@@ -62,15 +64,13 @@ def _measure(signal, smooth, hat, label, pixels, start, peak, floor, circle,  # 
         sat = 0
         sx = sy = sw = np.float32(0)
         c0 = c1 = c2 = np.float32(0)
-        y_first = pixels[s] // w
-        x_first = pixels[s] - y_first * w
+        x_first, y_first = xs[s], ys[s]
         xx = xy = yy = np.float32(0)
         mx = my = np.float32(0)
         touches = False
         for k in range(s, e):
-            i = pixels[k]
-            y = i // w
-            x = i - y * w
+            x, y = np.int64(xs[k]), np.int64(ys[k])
+            i = y * w + x
             v = np.float32(values[i])
             if v < half:
                 continue
@@ -111,22 +111,34 @@ def _measure(signal, smooth, hat, label, pixels, start, peak, floor, circle,  # 
         # the background: where no blob lies, on an ellipse around
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        b0 = b1 = b2 = np.float32(0)
-        q = np.float32(0)
         m = 0
         for k in range(len(circle)):
             x = int(cx + rx * circle[k, 0] + 0.5)
             y = int(cy + ry * circle[k, 1] + 0.5)
             if x < 0 or y < 0 or x >= w or y >= h or label[y, x] != 0:
                 continue
-            i = 3 * (y * w + x)
-            p0, p1, p2 = np.float32(channels[i]), np.float32(channels[i + 1]), np.float32(channels[i + 2])
-            b0 += p0
-            b1 += p1
-            b2 += p2
-            q += p0 * p0 + p1 * p1 + p2 * p2
+            i = y * w + x
+            value = values[i]
+            p = m
+            while p > 0 and ring_value[p - 1] > value:
+                ring_value[p] = ring_value[p - 1]
+                ring_place[p] = ring_place[p - 1]
+                p -= 1
+            ring_value[p] = value
+            ring_place[p] = 3 * i
             m += 1
+        b0 = b1 = b2 = np.float32(0)
         if m >= 3:
+            # the lower three quarters: skirts of neighbours brighten the rest
+            m -= m // 4
+            q = np.float32(0)
+            for k in range(m):
+                i = ring_place[k]
+                p0, p1, p2 = np.float32(channels[i]), np.float32(channels[i + 1]), np.float32(channels[i + 2])
+                b0 += p0
+                b1 += p1
+                b2 += p2
+                q += p0 * p0 + p1 * p1 + p2 * p2
             b0 /= m
             b1 /= m
             b2 /= m
@@ -157,10 +169,9 @@ def _measure(signal, smooth, hat, label, pixels, start, peak, floor, circle,  # 
         offset = w0 * b0 + w1 * b1 + w2 * b2
         count = e - s
         for k in range(count):
-            i = pixels[s + k]
-            y = i // w
-            vx[k] = np.float32(i - y * w) - cx
-            vy[k] = np.float32(y) - cy
+            i = np.int64(ys[s + k]) * w + xs[s + k]
+            vx[k] = np.float32(xs[s + k]) - cx
+            vy[k] = np.float32(ys[s + k]) - cy
             vv[k] = w0 * channels[3 * i] + w1 * channels[3 * i + 1] + w2 * channels[3 * i + 2] - offset
         det = max(xx * yy - xy * xy, np.float32(1e-3)) * np.float32(SUPPORT * SUPPORT)
         ixx = yy / det
@@ -208,7 +219,7 @@ def measure(segments: Segments) -> Dots:
         saturated=np.empty(n, np.float32),
         cut=np.empty(n, np.bool_),
     )
-    _measure(segments.signal, segments.smooth, segments.hat, segments.label, segments.pixels, segments.start,
+    _measure(segments.signal, segments.smooth, segments.hat, segments.label, segments.xs, segments.ys, segments.start,
              segments.peak, segments.floor, _CIRCLE, dots.centre, dots.colour, dots.covariance, dots.area, dots.noise,
              dots.saturated, dots.cut)
     return dots

@@ -1,9 +1,9 @@
 """Segmentation: a camera image to blobs, with background, threshold and separation that adapt to the image everywhere.
 
 The background of every channel is its morphological opening (whatever is wider than a dot stays, dots vanish), so ambient
-light, its colour and albedo steps drop out. What remains, the largest channel of the white top-hat, is split into
-catchment basins of its maxima; basins whose saddle is nearly as high as their lower peak are one dot (noise, mosaic
-artefacts), all others stay apart however close they lie (paper, section III.B: blob detection on the V channel).
+light, its colour and albedo steps drop out. What remains, the largest channel of the white top-hat, is flooded downhill
+from its maxima; maxima that connect at nearly their own height are one dot (noise, mosaic artefacts), all others stay
+apart however close they lie (paper, section III.B: blob detection on the V channel).
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 BLOCK = 32  # side of the squares in which noise is measured [px]
-SADDLE_RATIO = 0.8  # basins that meet higher than this share of the lower peak are one dot
+SADDLE_RATIO = 0.8  # maxima that connect above this share of their height are one dot
+FOOT_RATIO = 0.2  # a blob's pixels reach down to this share of its height
 NOISE_FACTOR = 4.0  # a dot's pixels stand this many standard deviations above the background
 MAX_BLOBS = 30000
 
@@ -26,16 +27,17 @@ class Segments:
     """A segmented image with N blobs.
 
     signal (H, W, 3) uint8: image above its background, under the 3x3 binomial filter that removes the mosaic's frequency;
-    hat (H, W) uint8 its largest channel; label (H, W) int32 blob index + 1 or 0; pixels (P,) int32 flat indices sorted by
+    hat (H, W) uint8 its largest channel; label (H, W) int32 blob index + 1 or 0; xs, ys (P,) int16 its pixels blob by
     blob, start (N + 1,) int32 where each blob's begin; peak, floor (N,) float32 height of the blob and of the background
-    around it in `hat`; saturation (H, W) uint8 largest channel of the smoothed image.
+    around it in `hat`; smooth (H, W, 3) uint8 the filtered image itself.
     """
 
     signal: NDArray[np.uint8]
     smooth: NDArray[np.uint8]
     hat: NDArray[np.uint8]
     label: NDArray[np.int32]
-    pixels: NDArray[np.int32]
+    xs: NDArray[np.int16]
+    ys: NDArray[np.int16]
     start: NDArray[np.int32]
     peak: NDArray[np.float32]
     floor: NDArray[np.float32]
@@ -90,140 +92,90 @@ def measure_noise(hat, factor, floor, threshold):  # type: ignore[no-untyped-def
             threshold[by, bx] = a / n + max(3.0, factor * b / n)
 
 
-@njit(cache=True, inline="always")
-def _find(parent, i):  # type: ignore[no-untyped-def]
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
 @njit(cache=True)
-def ascend(hat, threshold, label, pixels):  # type: ignore[no-untyped-def]
-    """Point every pixel above threshold to the highest of its 3x3 neighbourhood: label = -(target + 1), 0 elsewhere.
+def flood(hat, level, threshold, label, xs, ys, start, peak, base):  # type: ignore[no-untyped-def]
+    """Blobs around the maxima of the top-hat.
 
-    Ties go to the later pixel, so that the pointers never form a cycle. Returns how many `pixels` were listed.
+    From every local maximum, pixels connected above SADDLE_RATIO of its height belong to the same dot, whatever small
+    maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. Writes label (H, W)
+    int32 (must be zero) and the pixels' xs, ys int16 blob by blob; start, peak, base per blob. Returns the number of blobs.
     """
     h, w = hat.shape
+    capacity = len(xs)
+    most = len(peak)
     n = 0
-    capacity = len(pixels)
+    end = 0
     limits = np.empty(w, np.uint8)
-    for x in range(w):
-        label[0, x] = 0
-        label[h - 1, x] = 0
+    flat = hat.ravel()
+    mark = label.ravel()
+    around = (-w - 1, -w, -w + 1, -1, 1, w - 1, w, w + 1)
     for y in range(1, h - 1):
         if y == 1 or y % BLOCK == 0:
             for x in range(w):
-                limits[x] = np.uint8(min(255.0, threshold[y // BLOCK, x // BLOCK]))
-        label[y, 0] = 0
-        label[y, w - 1] = 0
-        above, here, below = hat[y - 1], hat[y], hat[y + 1]
+                limits[x] = np.uint8(min(254.0, threshold[y // BLOCK, x // BLOCK]))
+        row = y * w
         for x in range(1, w - 1):
-            value = here[x]
-            if value <= limits[x] or n >= capacity:
-                label[y, x] = 0
+            i = row + x
+            value = flat[i]
+            if value <= limits[x] or mark[i] != 0:
                 continue
-            # value and place of the neighbour in one number: branchless maximum, later places win ties
-            best = (np.int32(above[x - 1]) << 4)
-            best = max(best, (np.int32(above[x]) << 4) | 1)
-            best = max(best, (np.int32(above[x + 1]) << 4) | 2)
-            best = max(best, (np.int32(here[x - 1]) << 4) | 3)
-            best = max(best, (np.int32(value) << 4) | 4)
-            best = max(best, (np.int32(here[x + 1]) << 4) | 5)
-            best = max(best, (np.int32(below[x - 1]) << 4) | 6)
-            best = max(best, (np.int32(below[x]) << 4) | 7)
-            best = max(best, (np.int32(below[x + 1]) << 4) | 8)
-            place = best & 15
-            row = place // 3
-            i = y * w + x
-            label[y, x] = -(i + (row - 1) * w + (place - 3 * row - 1)) - 1
-            pixels[n] = i
+            # a maximum; of a plateau, its last pixel
+            if not (value >= flat[i - 1] and value > flat[i + 1] and value >= flat[i - w] and value > flat[i + w]
+                    and value >= flat[i - w - 1] and value >= flat[i - w + 1] and value > flat[i + w - 1]
+                    and value > flat[i + w + 1]):
+                continue
+            if n >= most or end + 64 > capacity:
+                break
+            floor = np.float32(level[y // BLOCK, x // BLOCK])
+            top = np.float32(value)
             n += 1
+            first = end
+            mark[i] = n
+            xs[end] = x
+            ys[end] = y
+            end += 1
+            join = floor + np.float32(SADDLE_RATIO) * (top - floor)
+            head = first
+            while head < end:
+                px, py = xs[head], ys[head]
+                head += 1
+                if px <= 0 or py <= 0 or px >= w - 1 or py >= h - 1:
+                    continue
+                j = np.int64(py) * w + px
+                for step in around:
+                    k = j + step
+                    if mark[k] == 0 and flat[k] >= join and end < capacity:
+                        mark[k] = n
+                        yy = k // w
+                        xs[end] = k - yy * w
+                        ys[end] = yy
+                        end += 1
+                        if flat[k] > top:
+                            top = np.float32(flat[k])
+                            join = floor + np.float32(SADDLE_RATIO) * (top - floor)
+            foot = max(floor + np.float32(FOOT_RATIO) * (top - floor), np.float32(limits[x]))
+            head = first
+            while head < end:
+                px, py = xs[head], ys[head]
+                head += 1
+                if px <= 0 or py <= 0 or px >= w - 1 or py >= h - 1:
+                    continue
+                j = np.int64(py) * w + px
+                here = flat[j]
+                for step in around:
+                    k = j + step
+                    value_k = flat[k]
+                    if value_k > foot and value_k <= here and mark[k] == 0 and end < capacity:
+                        mark[k] = n
+                        yy = k // w
+                        xs[end] = k - yy * w
+                        ys[end] = yy
+                        end += 1
+            start[n - 1] = first
+            peak[n - 1] = top
+            base[n - 1] = floor
+    start[n] = end
     return n
-
-
-@njit(cache=True)
-def collect_basins(hat, floor, label, pixels, n_pixels, saddle_ratio, max_basins):  # type: ignore[no-untyped-def]
-    """Follow the pointers of `ascend` to basins and merge basins over high saddles.
-
-    Rewrites label to blob index + 1. Returns the pixels sorted by blob, where each blob starts, peaks and floors.
-    """
-    h, w = hat.shape
-    flat = label.ravel()
-    values = hat.ravel()
-    peak = np.empty(max_basins, np.float32)
-    base = np.empty(max_basins, np.float32)
-    n = 0
-    for k in range(n_pixels):
-        i = pixels[k]
-        j = i
-        while flat[j] < 0 and -flat[j] - 1 != j:
-            j = -flat[j] - 1
-        if flat[j] < 0:
-            if n < max_basins:
-                peak[n] = values[j]
-                base[n] = floor[(j // w) // BLOCK, (j % w) // BLOCK]
-                n += 1
-                found = n
-            else:
-                found = 0
-            flat[j] = found
-        else:
-            found = flat[j]
-        j = i
-        while flat[j] < 0:
-            to = -flat[j] - 1
-            flat[j] = found
-            j = to
-    parent = np.arange(n)
-    around = (-w - 1, -w, -w + 1, -1, 1, w - 1, w, w + 1)
-    for k in range(n_pixels):
-        i = pixels[k]
-        a = flat[i]
-        if a == 0:
-            continue
-        a -= 1
-        enough = base[a] + saddle_ratio * (peak[a] - base[a])
-        if values[i] < enough:
-            continue
-        for step in around:
-            b = flat[i + step] - 1
-            if b >= 0 and b != a and values[i + step] >= enough:
-                ra = _find(parent, a)
-                rb = _find(parent, b)
-                if ra != rb:
-                    if peak[ra] < peak[rb]:
-                        ra, rb = rb, ra
-                    low = min(values[i], values[i + step])
-                    if low - base[rb] >= saddle_ratio * (peak[rb] - base[rb]):
-                        parent[rb] = ra
-    index = np.full(n, -1, np.int32)
-    m = 0
-    for i in range(n):
-        if parent[i] == i:
-            peak[m] = peak[i]
-            base[m] = base[i]
-            index[i] = m
-            m += 1
-    for i in range(n):
-        index[i] = index[_find(parent, i)]
-    start = np.zeros(m + 2, np.int32)
-    for k in range(n_pixels):
-        i = pixels[k]
-        if flat[i] > 0:
-            j = index[flat[i] - 1] + 1
-            flat[i] = j
-            start[j + 1] += 1
-    for j in range(m):
-        start[j + 2] += start[j + 1]
-    ordered = np.empty(start[m + 1], np.int32)
-    for k in range(n_pixels):
-        i = pixels[k]
-        j = flat[i]
-        if j > 0:
-            ordered[start[j]] = i
-            start[j] += 1
-    return ordered, start[: m + 1], peak[:m].copy(), base[:m].copy()
 
 
 def above_background(bgr: NDArray[np.uint8], kernel: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
@@ -252,8 +204,12 @@ def segment(bgr: NDArray[np.uint8], kernel: int) -> Segments:
     level = np.empty(shape, np.float32)
     threshold = np.empty(shape, np.float32)
     measure_noise(hat, NOISE_FACTOR, level, threshold)
-    label = np.empty((h, w), np.int32)
-    pixels = np.empty(h * w // 2 + 16, np.int32)
-    n = ascend(hat, threshold, label, pixels)
-    ordered, start, peak, floor = collect_basins(hat, level, label, pixels, n, SADDLE_RATIO, MAX_BLOBS)
-    return Segments(signal, smooth, hat, label, ordered, start, peak, floor)
+    label = np.zeros((h, w), np.int32)
+    capacity = h * w // 2 + 64
+    xs = np.empty(capacity, np.int16)
+    ys = np.empty(capacity, np.int16)
+    start = np.empty(MAX_BLOBS + 1, np.int32)
+    peak = np.empty(MAX_BLOBS, np.float32)
+    floor = np.empty(MAX_BLOBS, np.float32)
+    n = flood(hat, level, threshold, label, xs, ys, start, peak, floor)
+    return Segments(signal, smooth, hat, label, xs, ys, start[: n + 1], peak[:n], floor[:n])
