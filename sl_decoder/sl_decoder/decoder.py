@@ -77,9 +77,10 @@ class Decoder:
         evidence = trials - np.log(self.options.max_false_alarms)
         if reading.place(evidence):
             reading.grow(self.limit)
-            reading.refit()
-            reading.place(evidence)
-            reading.grow(self.limit)
+            if not reading.is_complete():
+                reading.refit()
+                reading.place(evidence)
+                reading.grow(self.limit)
             reading.recover(segments.smooth, self.limit)
         return reading
 

@@ -20,6 +20,7 @@ NEXT_EVIDENCE = 14.0  # log-likelihood ratio that further placements need once t
 PLACED_BELIEF = 1.5  # log-odds from which a placed dot may claim its element
 JUDGEMENTS = 12  # most releases of the worst per growth
 GROWTHS = 4
+COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
 
@@ -139,13 +140,18 @@ class Interpretation:
             ):
                 return
 
+    def is_complete(self) -> bool:
+        """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""
+        on_lattice = self.at >= 0
+        decoded = (self.holder_v[: self.segmented] >= 0) & on_lattice
+        return int(decoded.sum()) >= COMPLETE * int(on_lattice.sum())
+
     def refit(self) -> None:
         """Fit the letter model to the decoded dots, and weigh all letters again."""
         n, model = self.n, self.model
         assert model is not None
         held = self.holder_v[:n] >= 0
-        known = self.letter[:n].copy()
-        known[held] = self.book.letters[self.holder_v[:n][held], self.holder_u[:n][held]]
+        known = np.where(held, self.book.letters[self.holder_v[:n], self.holder_u[:n]], self.letter[:n]).astype(np.int32)
         self.signal[:n] = letters.log_signal(self.colour[:n], model.direction, self.alphabet.group[known])
         letters.local_field(
             self.centre[:n], self.signal[:n], self.near, known, model.level, held, self.field[:n], self.variance[:n]

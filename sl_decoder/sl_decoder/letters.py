@@ -70,23 +70,31 @@ class LetterModel:
     stray: np.float32 = np.float32(FIRST_STRAY)
 
 
+@njit(cache=True)
+def quantile(values, share):  # type: ignore[no-untyped-def]
+    """Quantile of values (N,) float32 that are sorted in place; 0 for none."""
+    n = len(values)
+    if n == 0:
+        return np.float32(0)
+    values.sort()
+    return values[min(n - 1, int(share * n))]
+
+
 def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
     """Gains (3,) that the channels of the image have over the drive values, from the upper tails of both."""
-    gains = np.ones(3)
+    gains = np.zeros(3)
     for c in range(3):
         order = np.argsort(alphabet.colour[:, c])
         cumulative = np.cumsum(alphabet.share[order])
-        reference = alphabet.colour[order[np.searchsorted(cumulative, 0.9)], c]
+        reference = alphabet.colour[order[min(np.searchsorted(cumulative, 0.9), len(order) - 1)], c]
         if reference > 0.1:
-            gains[c] = max(float(np.percentile(colour[:, c], 90)), 1e-3) / reference
-        else:
-            gains[c] = 0.0
-    if (gains == 0).any():
-        gains[gains == 0] = gains[gains > 0].mean() if (gains > 0).any() else 1.0
+            gains[c] = max(float(quantile(colour[:, c].copy(), 0.9)), 1e-3) / reference
+    seen = gains > 0
+    gains[~seen] = gains[seen].mean() if seen.any() else 1.0
     return gains
 
 
-@njit(cache=True, boundscheck=False, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _assign_groups(colour, direction, group):  # type: ignore[no-untyped-def]
     """Nearest direction of each dot; returns sums of unit colours per group."""
     n = len(colour)
@@ -187,17 +195,148 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
         field_variance[i] = (total + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
 
 
-@njit(cache=True, boundscheck=False, fastmath=True)
-def _assign_levels(signal, field, group, letter_group, level, letter):  # type: ignore[no-untyped-def]
+@njit(cache=True, fastmath=True)
+def _neighbour_mean(values, near, use, out):  # type: ignore[no-untyped-def]
+    for i in range(len(values)):
+        total = np.float32(0)
+        m = 0
+        for q in range(near.shape[1]):
+            j = near[i, q]
+            if j < 0:
+                break
+            if use[j]:
+                total += values[j]
+                m += 1
+        out[i] = total / m if m > 0 else values[i]
+
+
+@njit(cache=True, fastmath=True)
+def first_levels(signal, group, near, use, letter_group, ranked, share, groups, level, letter, field):  # type: ignore[no-untyped-def]
+    """Split each hue group into its intensities.
+
+    Deviations from the local mean are ranked and cut in the map's shares, then assignment, levels and field are
+    iterated. ranked (A,) letters, darkest first; writes level (A,), letter (N,), field (N,).
+    """
     n = len(signal)
+    count = len(level)
+    middle = np.zeros(groups, np.float32)
+    pool = np.empty(n, np.float32)
+    for g in range(groups):
+        m = 0
+        for i in range(n):
+            if use[i] and group[i] == g:
+                pool[m] = signal[i]
+                m += 1
+        middle[g] = quantile(pool[:m], 0.5)
+    relative = np.empty(n, np.float32)
     for i in range(n):
-        best = 1e30
-        for a in range(len(level)):
-            if letter_group[a] == group[i]:
-                d = abs(signal[i] - field[i] - level[a])
-                if d < best:
-                    best = d
-                    letter[i] = a
+        relative[i] = signal[i] - middle[group[i]]
+    _neighbour_mean(relative, near, use, field)
+    for g in range(groups):
+        m = 0
+        for i in range(n):
+            if use[i] and group[i] == g:
+                pool[m] = signal[i] - field[i]
+                m += 1
+        values = pool[:m]
+        values.sort()
+        total = 0.0
+        for a in range(count):
+            if letter_group[a] == g:
+                total += share[a]
+        low = 0.0
+        for r in range(count):
+            a = ranked[r]
+            if letter_group[a] != g:
+                continue
+            high = low + share[a] / max(total, 1e-9)
+            level[a] = values[min(m - 1, int(0.5 * (low + high) * m))] if m > 0 else np.float32(0)
+            low = high
+    sums = np.zeros(count)
+    number = np.zeros(count, np.int64)
+    for _ in range(3):
+        sums[:] = 0
+        number[:] = 0
+        for i in range(n):
+            best = np.float32(1e30)
+            for a in range(count):
+                if letter_group[a] == group[i]:
+                    d = abs(signal[i] - field[i] - level[a])
+                    if d < best:
+                        best = d
+                        letter[i] = a
+            if use[i]:
+                sums[letter[i]] += signal[i] - field[i]
+                number[letter[i]] += 1
+        for a in range(count):
+            if number[a] >= 3:
+                level[a] = sums[a] / number[a]
+        for i in range(n):
+            relative[i] = signal[i] - level[letter[i]]
+        _neighbour_mean(relative, near, use, field)
+
+
+@njit(cache=True, fastmath=True)
+def _fit(colour, signal, field, letter, use, letter_group, direction, spread, level, level_spread):  # type: ignore[no-untyped-def]
+    """Robust directions, levels and spreads, in place; returns the share of dots off the field."""
+    n = len(signal)
+    pool = np.empty(n, np.float32)
+    for g in range(len(direction)):
+        total = np.zeros(3, np.float32)
+        # two rounds of the mean direction, the second without outliers
+        for turn in range(2):
+            total[:] = 0
+            for i in range(n):
+                if not use[i] or letter_group[letter[i]] != g:
+                    continue
+                p, q, r = colour[i, 0], colour[i, 1], colour[i, 2]
+                norm = np.sqrt(p * p + q * q + r * r)
+                if norm <= 1:
+                    continue
+                d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / norm
+                if turn == 1 and np.float32(2) * (1 - d) > 9 * spread[g] * spread[g]:
+                    continue
+                total[0] += p / norm
+                total[1] += q / norm
+                total[2] += r / norm
+            norm = np.sqrt(total[0] * total[0] + total[1] * total[1] + total[2] * total[2])
+            if norm < 5:
+                break
+            for c in range(3):
+                direction[g, c] = total[c] / norm
+            m = 0
+            for i in range(n):
+                if not use[i] or letter_group[letter[i]] != g:
+                    continue
+                p, q, r = colour[i, 0], colour[i, 1], colour[i, 2]
+                norm = max(np.sqrt(p * p + q * q + r * r), np.float32(1e-6))
+                d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / norm
+                pool[m] = np.float32(2) * max(1 - d, np.float32(0))
+                m += 1
+            spread[g] = min(max(np.sqrt(quantile(pool[:m], 0.5) / np.float32(1.39)), np.float32(0.02)), np.float32(0.5))
+    for a in range(len(level)):
+        m = 0
+        for i in range(n):
+            if use[i] and letter[i] == a:
+                pool[m] = signal[i] - field[i]
+                m += 1
+        if m < 5:
+            continue
+        level[a] = quantile(pool[:m], 0.5)
+        for k in range(m):
+            pool[k] = abs(pool[k] - level[a])
+        level_spread[a] = min(max(np.float32(1.48) * quantile(pool[:m], 0.5), np.float32(0.03)), np.float32(0.6))
+    off = 0
+    m = 0
+    for i in range(n):
+        if use[i]:
+            m += 1
+            a = letter[i]
+            if abs(signal[i] - field[i] - level[a]) > 4 * level_spread[a] + np.float32(0.1):
+                off += 1
+    if m < 50:
+        return np.float32(FIRST_STRAY)
+    return np.float32(min(max(1.2 * off / m, 0.02), 0.4))
 
 
 @njit(cache=True, fastmath=True)
@@ -247,23 +386,30 @@ def all_evidence(colour, signal, field, field_variance, noise, letter_group, dir
                                     noise[i], letter_group, direction, spread, level, level_spread, stray, out[i])
 
 
-def log_signal(colour: np.ndarray, direction: np.ndarray, group: np.ndarray) -> np.ndarray:
+@njit(cache=True, fastmath=True)
+def log_signal(colour, direction, group):  # type: ignore[no-untyped-def]
     """Logarithm (N,) of each dot's signal along its group's colour direction."""
-    projected = np.einsum("ij,ij->i", colour, direction[group])
-    return np.log(np.maximum(projected, 0.5)).astype(np.float32)
+    out = np.empty(len(colour), np.float32)
+    for i in range(len(colour)):
+        g = group[i]
+        value = colour[i, 0] * direction[g, 0] + colour[i, 1] * direction[g, 1] + colour[i, 2] * direction[g, 2]
+        out[i] = np.log(max(value, np.float32(0.5)))
+    return out
 
 
 def initial_letters(
     alphabet: Alphabet, centre: np.ndarray, colour: np.ndarray, near: np.ndarray, use: np.ndarray,
     first: np.ndarray | None = None,
 ) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray, np.ndarray]:
-    """First reading of all dots: letters (N,) int32, the model, log signal (N,) and its field (N,).
+    """First reading of all dots: letters (N,) int32, the model, log signal (N,), its field (N,) and the field's variance.
 
-    colour (N, 3) float32; near (N, K) int32 neighbours; use (N,) bool: dots that look like part of a lattice.
+    colour (N, 3) float32; near (N, K) int32 neighbours; use (N,) bool: dots that look like part of a lattice; first (A, 3)
+    B G R of the letters from a colour calibration, None: the pattern's own under the gains of the image.
     """
     chosen = colour[use] if use.sum() >= 9 else colour
-    direction = alphabet.colour * channel_gains(alphabet, chosen) if first is None else first
-    start = np.array([direction[alphabet.group == g].mean(0) for g in range(len(alphabet.direction))])
+    letter_colour = alphabet.colour * channel_gains(alphabet, chosen) if first is None else first
+    groups = len(alphabet.direction)
+    start = np.array([letter_colour[alphabet.group == g].mean(0) for g in range(groups)])
     if first is None:
         start += 0.08 * start.max(1, keepdims=True)  # some crosstalk is everywhere
     direction = (start / np.linalg.norm(start, axis=1, keepdims=True)).astype(np.float32)
@@ -271,40 +417,19 @@ def initial_letters(
     for _ in range(4):
         total = _assign_groups(chosen, direction, some)
         norm = np.linalg.norm(total, axis=1)
-        ok = norm > 3.0
-        direction[ok] = (total[ok] / norm[ok, None]).astype(np.float32)
-    group = np.empty(len(colour), np.int32)
+        settled = norm > 3.0
+        direction[settled] = (total[settled] / norm[settled, None]).astype(np.float32)
+    n = len(colour)
+    group = np.empty(n, np.int32)
     _assign_groups(colour, direction, group)
     signal = log_signal(colour, direction, group)
-    n_groups = len(direction)
-    group_level = np.array([np.median(signal[use & (group == g)]) if (use & (group == g)).any() else 0.0 for g in range(n_groups)])
-    # levels: start from the ranks of the deviation from the local mean, in the shares of the map
-    letter = group.copy()
-    field = np.empty(len(colour), np.float32)
-    variance = np.empty(len(colour), np.float32)
-    local_field(centre, signal, near, letter, group_level.astype(np.float32), use, field, variance)
-    deviation = signal - field
     level = np.zeros(len(alphabet.group), np.float32)
-    for g in range(n_groups):
-        members = np.flatnonzero(alphabet.group == g)
-        members = members[np.argsort(alphabet.level[members])]
-        values = np.sort(deviation[use & (group == g)])
-        if not len(values):
-            continue
-        edges = np.concatenate([[0.0], np.cumsum(alphabet.share[members])]) / alphabet.share[members].sum()
-        for low, high, a in zip(edges[:-1], edges[1:], members, strict=True):
-            part = values[int(low * len(values)) : max(int(high * len(values)), int(low * len(values)) + 1)]
-            level[a] = np.median(part) if len(part) else 0.0
-    letter = np.empty(len(colour), np.int32)
-    letter_group = alphabet.group
-    for _ in range(3):
-        _assign_levels(signal, field, group, letter_group, level, letter)
-        for a in range(len(level)):
-            mine = use & (letter == a)
-            if mine.sum() >= 3:
-                level[a] = (signal[mine] - field[mine]).mean()
-        local_field(centre, signal, near, letter, level, use, field, variance)
-    _assign_levels(signal, field, group, letter_group, level, letter)
+    letter = np.zeros(n, np.int32)
+    field = np.empty(n, np.float32)
+    variance = np.empty(n, np.float32)
+    ranked = np.argsort(alphabet.level, kind="stable")
+    first_levels(signal, group, near, use, alphabet.group, ranked, alphabet.share, groups, level, letter, field)
+    local_field(centre, signal, near, letter, level, use, field, variance)
     model = fit_model(alphabet, colour, signal, field, letter, use, direction, level)
     return letter, model, signal, field, variance
 
@@ -312,25 +437,8 @@ def initial_letters(
 def fit_model(alphabet: Alphabet, colour: np.ndarray, signal: np.ndarray, field: np.ndarray, letter: np.ndarray,
               use: np.ndarray, direction: np.ndarray, level: np.ndarray) -> LetterModel:
     """Directions, levels and their spreads from dots of (presumably) known letters."""
-    direction = direction.copy()
-    level = level.copy()
+    direction, level = direction.copy(), level.copy()
     spread = np.full(len(direction), 0.15, np.float32)
     level_spread = np.full(len(level), 0.2, np.float32)
-    norm = np.linalg.norm(colour, axis=1)
-    unit = colour / np.maximum(norm, 1e-6)[:, None]
-    for g in range(len(direction)):
-        mine = use & (alphabet.group[letter] == g) & (norm > 1)
-        if mine.sum() >= 5:
-            mean = np.median(unit[mine], axis=0)
-            direction[g] = mean / np.linalg.norm(mean)
-            angle2 = 2.0 * np.maximum(1.0 - unit[mine] @ direction[g], 0.0)
-            spread[g] = np.clip(np.sqrt(np.median(angle2) / 1.39), 0.02, 0.5)
-    for a in range(len(level)):
-        mine = use & (letter == a)
-        if mine.sum() >= 5:
-            deviation = signal[mine] - field[mine]
-            level[a] = np.median(deviation)
-            level_spread[a] = np.clip(1.48 * np.median(np.abs(deviation - level[a])), 0.03, 0.6)
-    off = np.abs(signal[use] - field[use] - level[letter[use]]) > 4.0 * level_spread[letter[use]] + 0.1
-    stray = np.float32(np.clip(off.mean() * 1.2, 0.02, 0.4)) if len(off) >= 50 else np.float32(FIRST_STRAY)
-    return LetterModel(direction, spread, level, level_spread, stray)
+    stray = _fit(colour, signal, field, letter, use, alphabet.group, direction, spread, level, level_spread)
+    return LetterModel(direction, spread, level, level_spread, np.float32(stray))

@@ -17,7 +17,7 @@ COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
 SWEEPS = 6
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-untyped-def]
     """Lay the components with at least `smallest` dots out on their lattices.
 
@@ -73,7 +73,7 @@ def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-unt
     return cell, at, width
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values, turn):  # type: ignore[no-untyped-def]
     """Look every whole window up.
 
@@ -113,7 +113,7 @@ def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values,
     return votes[:m], code_of
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, codes, values, turn, todo):  # type: ignore[no-untyped-def]
     """Votes of the windows of the dots `todo` (N,) bool with one letter replaced by each other one."""
     n = len(at)
@@ -155,45 +155,49 @@ def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, code
     return votes[:m]
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def rank_placements(votes, component, smallest):  # type: ignore[no-untyped-def]
     """Distinct placements with at least `smallest` votes, most votes first: (P, 5) int32 component, k, u, v, votes;
     and for each vote the index of its placement or -1."""
     m = len(votes)
-    key = np.empty(m, np.int64)
-    for i in range(m):
-        key[i] = ((np.int64(component[votes[i, 0]]) * 8 + votes[i, 1]) * 65536 + votes[i, 2] + 32768) * 65536 + votes[i, 3] + 32768
-    order = np.argsort(key, kind="mergesort")
+    size = 64
+    while size < 4 * m:
+        size *= 2
+    table = np.full(size, -1, np.int64)
+    slot = np.zeros(size, np.int32)
     found = np.empty((m, 5), np.int32)
-    of = np.full(m, -1, np.int32)
+    of = np.empty(m, np.int32)
     n = 0
-    s = 0
-    while s < m:
-        e = s
-        while e < m and key[order[e]] == key[order[s]]:
-            e += 1
-        if e - s >= smallest:
-            i = order[s]
-            found[n, 0] = component[votes[i, 0]]
+    for i in range(m):
+        c = component[votes[i, 0]]
+        key = ((np.int64(c) * 8 + votes[i, 1]) * 65536 + votes[i, 2] + 32768) * 65536 + votes[i, 3] + 32768
+        h = ((key * 0x9E3779B97F4A7C1) >> 20) & (size - 1)
+        while table[h] >= 0 and table[h] != key:
+            h = (h + 1) & (size - 1)
+        if table[h] < 0:
+            table[h] = key
+            slot[h] = n
+            found[n, 0] = c
             found[n, 1] = votes[i, 1]
             found[n, 2] = votes[i, 2]
             found[n, 3] = votes[i, 3]
-            found[n, 4] = e - s
-            for t in range(s, e):
-                of[order[t]] = n
+            found[n, 4] = 0
             n += 1
-        s = e
+        of[i] = slot[h]
+        found[slot[h], 4] += 1
     rank = np.argsort(-found[:n, 4], kind="mergesort")
-    position = np.empty(n, np.int32)
+    position = np.full(n, -1, np.int32)
+    kept = 0
     for p in range(n):
-        position[rank[p]] = p
+        if found[rank[p], 4] >= smallest:
+            position[rank[p]] = p
+            kept += 1
     for i in range(m):
-        if of[i] >= 0:
-            of[i] = position[of[i]]
-    return found[:n][rank], of
+        of[i] = position[of[i]]
+    return found[:n][rank[:kept]], of
 
 
-@njit(cache=True, boundscheck=False)
+@njit(cache=True)
 def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, map_letters, window, turn,  # type: ignore[no-untyped-def]
                     coupling, sweeps, belief, work, members):
     """Log-odds that each dot of the component belongs to a placement, by mean-field over the lattice.
@@ -239,6 +243,7 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
     for s in range(count):
         q[s] = np.tanh(0.5 * max(-4.0, min(4.0, own[s] * 2.0)))
     for _ in range(sweeps):
+        moved = np.float32(0)
         for s in range(count):
             i = members[s]
             total = 0.0
@@ -249,7 +254,11 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
                     total += q[r] if r >= 0 else -0.5
             b = own[s] + coupling * total
             belief[i] = b
-            q[s] = np.tanh(0.5 * b)
+            t = np.float32(np.tanh(0.5 * b))
+            moved = max(moved, abs(t - q[s]))
+            q[s] = t
+        if moved < 0.05:
+            break
     for s in range(count):
         work[members[s]] = 0
     return count, own
