@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from sl_common.errors import InvalidInputError
-from sl_sim.commanding import trajectory_setpoints
+from sl_sim.ros.commanding import trajectory_setpoints
 
 NAMES = ("a", "b", "c")
 

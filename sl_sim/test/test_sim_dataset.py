@@ -46,7 +46,7 @@ def test_a_set_holds_what_its_readers_expect(tmp_path, capsys):
             "vga_barrel",
             "--oblique",
             "25",
-        ]  # fmt: skip
+        ]
     )
     assert code == 0, capsys.readouterr().err
     assert Pattern.load(folder / "pattern.yaml").pattern_id == default_pattern().pattern_id

@@ -1,0 +1,1 @@
+"""What of the cell node speaks ROS."""
