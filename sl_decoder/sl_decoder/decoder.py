@@ -15,7 +15,7 @@ from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
 from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
 from sl_decoder.interpretation import Interpretation
-from sl_decoder.lattice import from_axial
+from sl_decoder.lattice import from_axial, to_axial
 
 SMALLEST_IMAGE = 16  # side [px]
 LEAST_BELIEF = 2.0  # log-odds below which a dot is never given
@@ -83,6 +83,11 @@ class Decoder:
                 reading.grow(self.limit)
             reading.recover(segments.smooth, self.limit)
         return reading
+
+    def elements(self, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[NDArray, NDArray]:
+        """Indices (v, u) of pattern elements in arrays of the map's axial layout."""
+        u, v = to_axial(row, col, hexagonal=self.codebook.hexagonal)
+        return v + self.codebook.v_offset, u
 
     def report(self, reading: Interpretation, start: float) -> Decoded:
         """The correspondences of an interpretation; start: time.perf_counter() at its begin."""

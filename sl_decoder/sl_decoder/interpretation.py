@@ -75,6 +75,15 @@ class Interpretation:
             self.component, self.u, self.v, self.conflicts, count, SMALLEST_COMPONENT
         )
 
+    def set_tracked(self, n: int) -> None:
+        """Mark the first n dots as measured around predictions: claimed already, without a graph."""
+        self.n = self.segmented = n
+        self.links = np.full((n, self.book.lattice.directions), -1, np.int32)
+        self.at = np.zeros(n, np.int32)
+        self.conflicts = np.zeros(n, np.bool_)
+        self.banned_u[:] = -1
+        self.banned_v[:] = -1
+
     def read_letters(self, first: NDArray[np.float64] | None = None) -> None:
         """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
         n = self.n
@@ -161,14 +170,18 @@ class Interpretation:
         )
         self.weigh_letters()
 
-    def recover(self, smooth: NDArray[np.uint8], limit: float) -> None:
-        """Measure the dots that the lattice expects and segmentation did not give; judge."""
+    def recover(self, smooth: NDArray[np.uint8], limit: float, offset: np.float32 | None = None) -> None:
+        """Measure the dots that the lattice expects and segmentation did not give; judge.
+
+        offset: of the log signal measured at a known place from that of the other dots; None: found here.
+        """
         book, lattice, model = self.book, self.book.lattice, self.model
         assert model is not None
-        offset = recovery.matched_offset(
-            self.claim, smooth, self.centre, self.covariance, self.signal, book.letters, lattice.steps,
-            self.alphabet.group, model.direction, CIRCLE, 200,
-        )
+        if offset is None:
+            offset = recovery.matched_offset(
+                self.claim, smooth, self.centre, self.covariance, self.signal, book.letters, lattice.steps,
+                self.alphabet.group, model.direction, CIRCLE, 200,
+            )
         tried = np.zeros(self.claim.shape, np.bool_)
         before = self.n
         self.n = recovery.recover(

@@ -178,13 +178,18 @@ def flood(hat, level, threshold, label, xs, ys, start, peak, base):  # type: ign
     return n
 
 
+def smoothed(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Image (H, W, 3) uint8 under the 3x3 binomial filter, which removes the frequency of a Bayer mosaic."""
+    return cv2.GaussianBlur(bgr, (3, 3), 0)
+
+
 def above_background(bgr: NDArray[np.uint8], kernel: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
     """Image (H, W, 3) above its background: (H, W, 3) uint8 signal, (H, W) its largest channel, (H, W, 3) smoothed.
 
     kernel: side of the opening [px]; the background is found at half resolution.
     """
     h, w = bgr.shape[:2]
-    smooth = cv2.GaussianBlur(bgr, (3, 3), 0)
+    smooth = smoothed(bgr)
     half = cv2.resize(smooth, ((w + 1) // 2, (h + 1) // 2), interpolation=cv2.INTER_AREA)
     side = max(3, (kernel // 2) | 1)
     half = cv2.morphologyEx(half, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))

@@ -1,33 +1,304 @@
-"""Tracking: dots keep their identity from image to image (paper, end of section III.B)."""
+"""Tracking: dots keep their identity from image to image (paper, end of section III.B).
+
+Most images are decoded by verification: every dot is measured around its predicted place, then letter, place and neighbours
+are judged exactly as in a full decoding; dots that enter at the rim are found by recovery. Where too many fail, and every
+`refresh` images, the image is decoded from scratch. An identity is a map element seen without interruption: whatever
+happens, it is only given to a dot that was verified to be that element in this very image.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from sl_decoder.centres import Dots
 from sl_decoder.decoded import Decoded
-from sl_decoder.decoder import Decoder
+from sl_decoder.decoder import Decoder, check_image
+from sl_decoder.growth import UNPREDICTED, predict
+from sl_decoder.interpretation import Interpretation
+from sl_decoder.letters import LetterModel, letter_evidence
+from sl_decoder.matched import CIRCLE, measure_at
+from sl_decoder.recovery import matched_offset
+from sl_decoder.segmentation import smoothed
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerOptions:
+    """Options of the tracker.
+
+    refresh: images between two full decodings. least_share: of the dots of the last image that must be verified, or the
+    image is decoded from scratch. least_dots: fewer are not tracked. longest_gap: between two images [s]. reach: search
+    radius around the prediction, in units of the local lattice; below half, or a neighbour could be taken.
+    """
+
+    refresh: int = 15
+    least_share: float = 0.8
+    least_dots: int = 25
+    longest_gap: float = 0.5
+    reach: float = 0.35
+
+
+@njit(cache=True, fastmath=True)
+def follow(index, place, shape, claim, smooth, map_letters, steps, window, letter_group, direction, offset, circle, reach,  # type: ignore[no-untyped-def]
+           centre, colour, covariance, noise, saturated, signal, holder_u, holder_v):
+    """Measure all dots around their predicted places.
+
+    index (V, U) int32: row of `place` (N, 2) predicted px and `shape` (N, 3) (footprint in lattice units) or -1. Writes the
+    per-dot arrays, claim (V, U) and the holders; returns the number of dots found.
+    """
+    rows, cols = index.shape
+    found = np.empty(7, np.float32)
+    mixes = np.empty((len(direction), 3), np.float32)
+    for g in range(len(direction)):
+        total = np.float32(0)
+        for c in range(3):
+            mixes[g, c] = max(direction[g, c], np.float32(0))
+            total += mixes[g, c]
+        for c in range(3):
+            mixes[g, c] /= total
+    n = 0
+    for v in range(rows):
+        for u in range(cols):
+            claim[v, u] = -1
+            i = index[v, u]
+            if i < 0:
+                continue
+            _, _, kind, ax, ay, bx, by = predict(index, place, v, u, steps)
+            if kind == UNPREDICTED:
+                continue
+            # footprint from lattice units to pixels: B K B^T
+            kxx, kxy, kyy = shape[i, 0], shape[i, 1], shape[i, 2]
+            cxx = ax * ax * kxx + 2 * ax * bx * kxy + bx * bx * kyy
+            cxy = ax * ay * kxx + (ax * by + bx * ay) * kxy + bx * by * kyy
+            cyy = ay * ay * kxx + 2 * ay * by * kxy + by * by * kyy
+            g = letter_group[map_letters[v, u]]
+            if not measure_at(smooth, place[i, 0], place[i, 1], cxx, cxy, cyy, mixes[g], ax, ay, bx, by,
+                              np.float32(reach), circle, found):
+                continue
+            centre[n, 0], centre[n, 1] = found[0], found[1]
+            colour[n, 0], colour[n, 1], colour[n, 2] = found[2], found[3], found[4]
+            covariance[n, 0], covariance[n, 1], covariance[n, 2] = cxx, cxy, cyy
+            noise[n] = found[5]
+            saturated[n] = found[6]
+            projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
+            signal[n] = np.log(max(projected, np.float32(0.5))) - offset
+            claim[v, u] = n
+            holder_v[n], holder_u[n] = v, u
+            n += 1
+    return n
+
+
+@njit(cache=True, fastmath=True)
+def weigh_on_map(claim, colour, signal, noise, map_letters, window, letter_group, direction, spread, level, level_spread,  # type: ignore[no-untyped-def]
+                 stray, evidence, letter):
+    """Letter evidence of all held dots against the field of their neighbours on the map."""
+    rows, cols = claim.shape
+    for v in range(rows):
+        for u in range(cols):
+            i = claim[v, u]
+            if i < 0:
+                continue
+            field = np.float32(0)
+            square = np.float32(0)
+            m = 0
+            for p in range(1, len(window)):
+                vv, uu = v + window[p, 1], u + window[p, 0]
+                if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
+                    value = signal[claim[vv, uu]] - level[map_letters[vv, uu]]
+                    field += value
+                    square += value * value
+                    m += 1
+            if m == 0:
+                field = signal[i] - level[map_letters[v, u]]
+                variance = np.float32(0.25)
+            else:
+                field /= m
+                variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
+            letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], signal[i], field, variance, noise[i],
+                                        letter_group, direction, spread, level, level_spread, stray, evidence[i])
+
+
+@njit(cache=True, fastmath=True)
+def remember(claim, centre, covariance, steps, shape, basis_known):  # type: ignore[no-untyped-def]
+    """Footprints (V, U, 3) of the held dots in lattice units: B^-1 C B^-T."""
+    rows, cols = claim.shape
+    for v in range(rows):
+        for u in range(cols):
+            i = claim[v, u]
+            basis_known[v, u] = False
+            if i < 0:
+                continue
+            _, _, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+            det = ax * by - ay * bx
+            if kind == UNPREDICTED or det <= 1e-3:
+                continue
+            c0, c1, c2 = covariance[i, 0], covariance[i, 1], covariance[i, 2]
+            p0, p1 = by / det, -bx / det
+            q0, q1 = -ay / det, ax / det
+            shape[v, u, 0] = p0 * p0 * c0 + 2 * p0 * p1 * c1 + p1 * p1 * c2
+            shape[v, u, 1] = p0 * q0 * c0 + (p0 * q1 + p1 * q0) * c1 + p1 * q1 * c2
+            shape[v, u, 2] = q0 * q0 * c0 + 2 * q0 * q1 * c1 + q1 * q1 * c2
+            basis_known[v, u] = True
 
 
 class Tracker:
-    """Decodes a stream of images with one decoder."""
+    """Decodes a stream of images with one decoder, image by image in the order of their stamps."""
 
-    def __init__(self, decoder: Decoder) -> None:
+    def __init__(self, decoder: Decoder, *, options: TrackerOptions | None = None) -> None:
         self._decoder = decoder
-        self._ids = np.full((decoder.pattern.rows, decoder.pattern.cols), -1, np.int32)
-        self._next = 0
+        self.options = options or TrackerOptions()
+        shape = decoder.codebook.letters.shape
+        self._claim = np.full(shape, -1, np.int32)  # rows of the per-dot arrays of the last image
+        self._place = np.zeros((0, 2), np.float32)
+        self._velocity = np.zeros((*shape, 2), np.float32)  # px/s
+        self._moving = np.zeros(shape, np.bool_)
+        self._footprint = np.zeros((*shape, 3), np.float32)
+        self._area = np.zeros(0, np.int32)
+        self._ids = np.full(shape, -1, np.int32)
+        self._next_id = 0
+        self._model: LetterModel | None = None
+        self._offset = np.float32(0)
+        self._stamp: int | None = None
+        self._size: tuple[int, ...] = ()
+        self._since_full = 0
+        self._full_count = 0
+
+    def reset(self) -> None:
+        """Forget all tracks: the next image is decoded from scratch and its dots get new identities."""
+        self._claim[:] = -1
+        self._ids[:] = -1
+        self._model = None
+        self._stamp = None
 
     def track(self, bgr: NDArray[np.uint8], stamp: int) -> Decoded:
-        """Correspondences of the next image; stamp in nanoseconds."""
-        decoded = self._decoder.decode(bgr)
-        ids = np.full_like(self._ids, -1)
-        old = self._ids[decoded.row, decoded.col]
-        new = old < 0
-        old = old.copy()
-        old[new] = np.arange(self._next, self._next + int(new.sum()))
-        self._next += int(new.sum())
-        ids[decoded.row, decoded.col] = old
+        """Correspondences of the next image (H, W, 3) uint8 BGR, taken at `stamp` [ns], with track_id.
+
+        An image that is older than the last one, of another size or after a long gap starts anew.
+        """
+        start = time.perf_counter()
+        check_image(bgr)
+        gap = 0.0 if self._stamp is None else 1e-9 * (stamp - self._stamp)
+        usable = self._model is not None and 0.0 < gap <= self.options.longest_gap and bgr.shape == self._size
+        if self._stamp is not None and not usable:
+            self.reset()
+        reading = None
+        if usable and self._since_full < self.options.refresh:
+            reading = self._verify(bgr, gap)
+        tracked = reading is not None
+        if reading is None:
+            smooth = smoothed(bgr)
+            reading = self._decoder.interpret(bgr)
+            self._since_full = 0
+            self._full_count = int((reading.claim >= 0).sum())
+            self._learn(reading, smooth)
+        else:
+            self._since_full += 1
+        decoded = replace(self._decoder.report(reading, start), tracked=tracked)
+        ids = self._identify(reading)
+        self._keep(reading, bgr.shape, stamp, gap if usable else 0.0)
+        map_v, map_u = self._decoder.elements(decoded.row, decoded.col)
+        return replace(decoded, track_id=ids[map_v, map_u], decode_time=time.perf_counter() - start)
+
+    def _verify(self, bgr: NDArray[np.uint8], gap: float) -> Interpretation | None:
+        """Decode around the prediction; None when too little of it holds."""
+        decoder, model = self._decoder, self._model
+        assert model is not None
+        book = decoder.codebook
+        lattice = book.lattice
+        held = self._claim >= 0
+        rows = np.flatnonzero(held.ravel())
+        before = len(rows)
+        if before < self.options.least_dots:
+            return None
+        index = np.full(self._claim.shape, -1, np.int32)
+        index.ravel()[rows] = np.arange(before, dtype=np.int32)
+        order = self._claim.ravel()[rows]
+        velocity = self._velocity.reshape(-1, 2)[rows]
+        place = (self._place[order] + velocity * np.float32(gap)).astype(np.float32)
+        shape = self._footprint.reshape(-1, 3)[rows]
+        smooth = smoothed(bgr)
+        reading = Interpretation(book, decoder.alphabet, _blank(before))
+        reading.model = model
+        n = follow(
+            index, place, shape, reading.claim, smooth, book.letters, lattice.steps, lattice.window, decoder.alphabet.group,
+            model.direction, self._offset, CIRCLE, self.options.reach, reading.centre, reading.colour, reading.covariance,
+            reading.noise, reading.saturated, reading.signal, reading.holder_u, reading.holder_v,
+        )
+        if n < self.options.least_share * before:
+            return None
+        area = np.zeros(self._claim.shape, np.int32)
+        area.ravel()[rows] = self._area[order]
+        reading.area[:n] = area[reading.holder_v[:n], reading.holder_u[:n]]
+        reading.set_tracked(n)
+        weigh_on_map(
+            reading.claim, reading.colour, reading.signal, reading.noise, book.letters, lattice.window,
+            decoder.alphabet.group, model.direction, model.spread, model.level, model.level_spread, model.stray,
+            reading.evidence, reading.letter,
+        )
+        reading.judge(decoder.limit)
+        kept = int((reading.claim >= 0).sum())
+        if kept < self.options.least_share * before or kept < self.options.least_dots:
+            return None
+        reading.recover(smooth, decoder.limit, self._offset)
+        if int((reading.claim >= 0).sum()) < 0.5 * self._full_count:
+            return None
+        return reading
+
+    def _learn(self, reading: Interpretation, smooth: NDArray[np.uint8]) -> None:
+        self._model = reading.model if (reading.claim >= 0).any() else None
+        if self._model is None:
+            return
+        book = self._decoder.codebook
+        self._offset = np.float32(matched_offset(
+            reading.claim, smooth, reading.centre, reading.covariance, reading.signal, book.letters, book.lattice.steps,
+            self._decoder.alphabet.group, self._model.direction, CIRCLE, 200,
+        ))
+        known = np.zeros(self._claim.shape, np.bool_)
+        remember(reading.claim, reading.centre, reading.covariance, book.lattice.steps, self._footprint, known)
+
+    def _identify(self, reading: Interpretation) -> NDArray[np.int32]:
+        """Identities (V, U): the old one where the element was held in the last image, new ones elsewhere."""
+        held = reading.claim >= 0
+        ids = np.where(held, self._ids, -1).astype(np.int32)
+        new = held & (ids < 0)
+        count = int(new.sum())
+        ids[new] = np.arange(self._next_id, self._next_id + count, dtype=np.int64) % (2**31 - 1)
+        self._next_id = (self._next_id + count) % (2**31 - 1)
         self._ids = ids
-        return replace(decoded, track_id=old)
+        return ids
+
+    def _keep(self, reading: Interpretation, size: tuple[int, ...], stamp: int, gap: float) -> None:
+        """Remember the places for the next image, and the velocities where a dot was seen twice."""
+        both = (reading.claim >= 0) & (self._claim >= 0)
+        velocity = np.zeros_like(self._velocity)
+        if gap > 0 and both.any():
+            moved = (reading.centre[reading.claim[both]] - self._place[self._claim[both]]) / np.float32(gap)
+            velocity[both] = moved
+            fresh = (reading.claim >= 0) & ~both
+            velocity[fresh] = np.median(moved, axis=0)
+        known = self._footprint.any(axis=2)
+        new = (reading.claim >= 0) & ~known
+        if new.any() and known.any():
+            self._footprint[new] = np.median(self._footprint[known], axis=0)
+        self._velocity = velocity
+        self._claim = reading.claim
+        self._place = reading.centre
+        self._area = reading.area
+        self._stamp = stamp
+        self._size = size
+
+
+def _blank(n: int) -> Dots:
+    return Dots(
+        centre=np.zeros((n, 2), np.float32),
+        colour=np.zeros((n, 3), np.float32),
+        covariance=np.ones((n, 3), np.float32),
+        area=np.ones(n, np.int32),
+        noise=np.ones(n, np.float32),
+        saturated=np.zeros(n, np.float32),
+        cut=np.zeros(n, np.bool_),
+    )
