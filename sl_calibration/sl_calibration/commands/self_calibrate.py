@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--refine-camera", action="store_true", help="estimate the camera's intrinsics too")
     p.add_argument("--no-projector-distortion", action="store_true", help="do not look for distortion of the projector")
+    p.add_argument("--no-centroids", action="store_true", help="take dots for points, not for centroids of discs")
     p.add_argument("--no-left-out", action="store_true", help="skip the errors of views left out")
     return p
 
@@ -74,6 +75,7 @@ def _run(args: argparse.Namespace) -> None:
         refine_camera=args.refine_camera,
         projector_distortion=not args.no_projector_distortion,
         left_out=not args.no_left_out,
+        spot_diameter=None if args.no_centroids else pattern.spot_diameter,
     )
     with tqdm(total=_STAGES, desc="self-calibration", delay=2.0, disable=None) as bar:
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from sl_calibration.self_calibration.bundle_problem import Linearisation, Problem, State, linearise, update
+from sl_calibration.self_calibration.bundle_problem import Layout, Linearisation, Problem, State, linearise, update
 from sl_calibration.self_calibration.errors import SelfCalibrationError
 from sl_calibration.self_calibration.initialise import sum_by
 
@@ -46,7 +46,7 @@ def normal_equations(problem: Problem, lin: Linearisation) -> Normal:
     """Assemble the normal equations J^T J and J^T r of a linearisation."""
     layout, observations = problem.layout, problem.observations
     count, size = len(observations.dots), layout.size
-    common = np.concatenate([np.arange(6), np.arange(layout.camera.start, layout.camera.stop)])
+    common = np.concatenate([np.arange(6), np.arange(layout.camera.start, layout.variance.stop)])
     projector = np.arange(6, layout.projector.stop)
 
     parameters, gradient = np.zeros((size, size)), np.zeros(size)
@@ -65,6 +65,8 @@ def normal_equations(problem: Problem, lin: Linearisation) -> Normal:
     poses = np.arange(layout.view(0).start, size)
     parameters[poses, poses] += (lin.pose_slope**2).ravel()
     gradient[poses] += (lin.pose_slope * lin.pose_residual).ravel()
+    parameters[layout.variance, layout.variance] += lin.variance_residual[1] ** 2
+    gradient[layout.variance] += lin.variance_residual[0] * lin.variance_residual[1]
 
     coupling = np.zeros((count, size, 3))
     by_point = np.swapaxes(lin.camera_point, -1, -2)
@@ -149,6 +151,19 @@ def _solve(matrix: Array, right: Array) -> Array:
         raise LinAlgError("not positive definite")
     scale = 1 / np.sqrt(diagonal)
     return scale * cho_solve(cho_factor(matrix * scale[:, None] * scale, lower=True), scale * right)
+
+
+def consider(layout: Layout, sigma: float, parameters: Array, dots: Array, cross: Array) -> tuple[Array, Array, Array]:
+    """Pass on the uncertainty of the dots' variance, which was held fixed, to the covariances of :func:`covariance`."""
+    k = layout.variance.start
+    lever = parameters[:, k] / parameters[k, k]
+    dot_lever = cross[:, k] / parameters[k, k]
+    extra = sigma**2 - parameters[k, k]
+    return (
+        parameters + extra * np.outer(lever, lever),
+        dots + extra * dot_lever[:, :, None] * dot_lever[:, None, :],
+        cross + extra * lever[:, None] * dot_lever[:, None, :],
+    )
 
 
 def covariance(normal: Normal) -> tuple[Array, Array, Array]:

@@ -19,6 +19,12 @@ from sl_common import transforms
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+ROUGH = 10.0
+"""How much larger the error of a dot's centre is at creases and edges, where the displacement of its centroid is unknown."""
+
+LEAST_SMOOTH = 100
+"""With fewer dots away from creases and edges than this, all dots count alike."""
+
 
 @dataclass(frozen=True, eq=False)
 class Noise:
@@ -47,6 +53,7 @@ class State:
     camera: Array
     base_from_flange: Array
     points: Array
+    variance: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +69,12 @@ class Problem:
         noise: Standard deviations.
         huber: Threshold of the Huber loss in standard deviations; inf: plain least squares.
         trusted: (V,) views whose reported flange pose counts.
+        displacement: (M, 2) of each centroid from the image of the dot's centre, over one more unknown, the dots'
+            variance [camera px / projector px^2], see :mod:`centroids`. None: left out.
+        smooth: (K,) dots of which the displacement is known; the others count less.
+        variance_prior: Mean and standard deviation of that unknown [projector px^2].
+        considered: Standard deviation of that unknown [projector px^2] where it is held at its prior and its uncertainty
+            only passed on; 0: estimated.
     """
 
     observations: Observations
@@ -72,24 +85,46 @@ class Problem:
     noise: Noise
     huber: float = np.inf
     trusted: BoolArray = field(default_factory=lambda: np.ones(0, dtype=bool))
+    displacement: Array | None = None
+    smooth: BoolArray | None = None
+    variance_prior: tuple[float, float] = (0.0, 1.0)
+    considered: float = 0.0
 
     def __post_init__(self) -> None:
         if len(self.trusted) == 0:
             object.__setattr__(self, "trusted", np.ones(len(self.observations.names), dtype=bool))
 
     @property
+    def smooth_dots(self) -> BoolArray:
+        """Dots (K,) away from creases and edges; all, where few are or the centres prove exact."""
+        if self.smooth is None or not self.considered or self.smooth.sum() < LEAST_SMOOTH:
+            return np.ones(len(self.observations.dots), dtype=bool)
+        return self.smooth
+
+    @property
+    def projector_sigma(self) -> Array:
+        """Standard deviations (K,) of the dots' centres in the projected image [px]."""
+        return self.noise.projector * np.where(self.smooth_dots, 1.0, ROUGH)
+
+    @property
     def layout(self) -> "Layout":
         """Where each unknown lies in the vector of the reduced system."""
-        return Layout(int(self.free_projector.sum()), int(self.free_camera.sum()), len(self.observations.names))
+        return Layout(
+            int(self.free_projector.sum()),
+            int(self.free_camera.sum()),
+            len(self.observations.names),
+            int(self.displacement is not None),
+        )
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Slices of the reduced parameter vector: hand-eye 6, projector pose 6, projector, camera, 6 per view."""
+    """Slices of the reduced parameter vector: hand-eye 6, projector pose 6, projector, camera, variance, 6 per view."""
 
     projector_size: int
     camera_size: int
     views: int
+    variance_size: int = 0
 
     @property
     def hand_eye(self) -> slice:
@@ -109,11 +144,16 @@ class Layout:
     @property
     def camera(self) -> slice:
         """Free camera parameters."""
-        return slice(12 + self.projector_size, 12 + self.projector_size + self.camera_size)
+        return slice(self.projector.stop, self.projector.stop + self.camera_size)
+
+    @property
+    def variance(self) -> slice:
+        """The variance of the dots, or nothing."""
+        return slice(self.camera.stop, self.camera.stop + self.variance_size)
 
     def view(self, i: int) -> slice:
         """Flange pose of view i: x y z rx ry rz in the base frame."""
-        start = 12 + self.projector_size + self.camera_size + 6 * i
+        start = self.variance.stop + 6 * i
         return slice(start, start + 6)
 
     @property
@@ -128,7 +168,8 @@ class Linearisation:
 
     Attributes:
         camera_residual: (M, 2) measured minus predicted, in standard deviations.
-        camera_common: (M, 2, 6 + C) derivative of the prediction by hand-eye transform and free camera parameters.
+        camera_common: (M, 2, 6 + C) derivative of the prediction by hand-eye transform, free camera
+            parameters and variance of the dots.
         camera_view: (M, 2, 6) by the flange pose of the view.
         camera_point: (M, 2, 3) by the dot.
         projector_residual: (K, 2).
@@ -136,6 +177,7 @@ class Linearisation:
         projector_point: (K, 2, 3) by the dot.
         pose_residual: (V, 6) reported minus estimated flange pose.
         pose_slope: (V, 6) derivative of the estimate, diagonal.
+        variance_residual: Prior mean minus variance of the dots, and its slope.
         cost: Half the sum of squares, or of the Huber loss.
     """
 
@@ -148,6 +190,7 @@ class Linearisation:
     projector_point: Array
     pose_residual: Array
     pose_slope: Array
+    variance_residual: tuple[float, float]
     cost: float
 
 
@@ -174,6 +217,10 @@ def linearise(problem: Problem, state: State) -> Linearisation:
     offset = state.points[observations.point] - poses[:, :3, 3]
     by_hand_eye = np.concatenate([-by_flange, by_flange @ transforms.skew(in_flange - hand_eye[:3, 3])], axis=-1)
     by_view = np.concatenate([-by_base, by_base @ transforms.skew(offset)], axis=-1)
+    camera_common = np.concatenate([by_hand_eye, by_camera[:, :, problem.free_camera]], axis=-1)
+    if problem.displacement is not None:
+        pixels = pixels + state.variance * problem.displacement
+        camera_common = np.concatenate([camera_common, problem.displacement[:, :, None]], axis=-1)
     residual = (observations.pixels - pixels) / noise.camera[observations.view][:, None]
     weight, camera_cost = _huber(residual, problem.huber)
     scale = (weight / noise.camera[observations.view])[:, None, None]
@@ -184,10 +231,13 @@ def linearise(problem: Problem, state: State) -> Linearisation:
     seen, by_local, by_projector = lens.project(problem.projector.distortion_model, state.projector, in_projector)
     by_world = by_local @ pose[:3, :3].T
     by_pose = np.concatenate([-by_world, by_world @ transforms.skew(from_projector)], axis=-1)
-    projector_residual = (observations.projector_pixels - seen) / noise.projector
+    projector_sigma = problem.projector_sigma
+    projector_residual = (observations.projector_pixels - seen) / projector_sigma[:, None]
     projector_weight, projector_cost = _huber(projector_residual, problem.huber)
-    projector_scale = (projector_weight / noise.projector)[:, None, None]
+    projector_scale = (projector_weight / projector_sigma)[:, None, None]
 
+    mean, spread = problem.variance_prior
+    variance_residual = (mean - state.variance) / spread if problem.displacement is not None else 0.0
     sigma = np.repeat([noise.position, noise.rotation], 3)
     difference = -transforms.difference(observations.base_from_flange, state.base_from_flange) / sigma
     both = difference.reshape(-1, 2, 3)
@@ -196,7 +246,7 @@ def linearise(problem: Problem, state: State) -> Linearisation:
 
     return Linearisation(
         camera_residual=residual * weight[:, None],
-        camera_common=np.concatenate([by_hand_eye, by_camera[:, :, problem.free_camera]], axis=-1) * scale,
+        camera_common=camera_common * scale,
         camera_view=by_view * scale,
         camera_point=by_base * scale,
         projector_residual=projector_residual * projector_weight[:, None],
@@ -205,7 +255,9 @@ def linearise(problem: Problem, state: State) -> Linearisation:
         projector_point=by_world * projector_scale,
         pose_residual=difference * pose_weight,
         pose_slope=pose_weight / sigma,
-        cost=float(camera_cost.sum() + projector_cost.sum() + (pose_cost * problem.trusted[:, None]).sum()),
+        variance_residual=(variance_residual, 1 / spread),
+        cost=float(camera_cost.sum() + projector_cost.sum() + (pose_cost * problem.trusted[:, None]).sum())
+        + 0.5 * variance_residual**2,
     )
 
 
@@ -231,6 +283,7 @@ def update(problem: Problem, state: State, step: Array, point_step: Array) -> St
         base_from_projector=transforms.perturb(state.base_from_projector, step[layout.pose]),
         projector=projector,
         camera=camera,
+        variance=state.variance + float(step[layout.variance].sum()),
         base_from_flange=transforms.perturb(state.base_from_flange, step[layout.view(0).start :].reshape(-1, 6)),
         points=state.points + point_step,
     )

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
 
-from sl_calibration.self_calibration import consistency, lens
-from sl_calibration.self_calibration.bundle_adjustment import adjust, covariance, normal_equations
+from sl_calibration.self_calibration import centroids, consistency, lens
+from sl_calibration.self_calibration.bundle_adjustment import adjust, consider, covariance, normal_equations
 from sl_calibration.self_calibration.bundle_problem import Noise, Problem, State, linearise
 from sl_calibration.self_calibration.determinacy import check_determined
 from sl_calibration.self_calibration.errors import InconsistentPosesError, TooFewViewsError
@@ -20,6 +20,7 @@ from sl_calibration.self_calibration.outliers import (
     complete_points,
     drop_dots,
     drop_views,
+    heavy_tails,
     outlier_pose,
     reprojection_errors,
     right_observations,
@@ -31,6 +32,11 @@ from sl_common import transforms
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
+
+HEAVY_TAILS = 0.005
+"""Share of errors between four and ten standard deviations from which on they are not normal; normal ones: 0.0003."""
+
+_ROUNDS = 5
 
 SIGNIFICANT = 3.0
 """Standard deviations by which the projector's distortion must differ from zero to be kept."""
@@ -45,12 +51,14 @@ class SelfCalibrationOptions:
         refine_camera: Estimate the camera's intrinsics too.
         projector_distortion: Look for radial distortion of the projector and keep it where it is significant.
         left_out: Estimate the errors of views left out, at the price of a few more adjustments.
+        spot_diameter: Of the dots [projector px]; given, the displacement of their centroids is modelled.
     """
 
     robot: RobotNoise = field(default_factory=RobotNoise)
     refine_camera: bool = False
     projector_distortion: bool = True
     left_out: bool = True
+    spot_diameter: float | None = None
 
 
 def self_calibrate(
@@ -131,11 +139,13 @@ def self_calibrate(
     )
     problem, state = _reject(problem, state, first=True)
     progress("bundle adjustment")
-    problem, state = _robust(problem, state, warnings)
-    problem, state, inflation = _refine(problem, state, options.robot)
+    problem, state, tails = _robust(problem, state, warnings)
+    if options.spot_diameter:
+        problem, state = _start_centroids(problem, state, options.spot_diameter, tails)
+    problem, state, inflation = _refine(problem, state, options)
     if options.projector_distortion:
         progress("projector distortion")
-        problem, state, inflation = _try_distortion(problem, state, inflation, options.robot)
+        problem, state, inflation = _try_distortion(problem, state, inflation, options)
     progress("uncertainty")
     result = _result(problem, state, warnings, inflation, total)
     warnings += check_determined(result, problem)
@@ -165,13 +175,21 @@ def _reject(problem: Problem, state: State, *, first: bool = False) -> tuple[Pro
     observations = problem.observations
     in_camera, in_projector = reprojection_errors(problem, state)
     right = right_observations(observations.view, in_camera, len(observations.names), least=2.0 if first else 0.2)
-    dot_scale = max(float(np.median(in_projector)) / 1.1774, 0.05)
-    good_dot = in_projector < (max(5 * dot_scale, 3.0) if first else 5 * dot_scale)
-    observations = observations.select(right & good_dot[observations.point])
-    seen = np.bincount(observations.point, minlength=len(observations.dots)) > 0
+    # Before the first adjustment the dots come from the cameras alone; later they are drawn towards the projector's rays.
+    limit = max(5 * float(np.median(in_projector)) / 1.1774, 3.0) if first else 6 * problem.projector_sigma
+    observations = observations.select(right & (in_projector < limit)[observations.point])
+    # A dot of a single view has nothing but the epipolar line to show that its code is right.
+    seen = np.bincount(observations.point, minlength=len(observations.dots)) > (0 if first else 1)
     observations, points = drop_dots(observations, seen, state.points)
     _check_views_left(observations)
-    return replace(problem, observations=observations), replace(state, points=points)
+    return _changed(problem, replace(state, points=points), observations)
+
+
+def _changed(problem: Problem, state: State, observations: Observations) -> tuple[Problem, State]:
+    """Put other observations into a problem, with the displacements of their centroids."""
+    modelled = problem.displacement is not None
+    problem = replace(problem, observations=observations, displacement=None, smooth=None)
+    return (_with_centroids(problem, state) if modelled else problem), state
 
 
 def _check_views_left(observations: Observations) -> None:
@@ -184,11 +202,16 @@ def _check_views_left(observations: Observations) -> None:
             )
 
 
-def _robust(problem: Problem, state: State, warnings: list[str]) -> tuple[Problem, State]:
-    """Adjust with a Huber loss, reject wrong codes and, one at a time, flange poses that do not fit."""
+def _robust(problem: Problem, state: State, warnings: list[str]) -> tuple[Problem, State, float]:
+    """Adjust with a Huber loss, reject wrong codes and, one at a time, flange poses that do not fit.
+
+    Also returns the share of errors between four and ten standard deviations.
+    """
+    tails = 0.0
     for attempt in range(len(problem.observations.names)):
         state = adjust(problem, state, iterations=30, tolerance=1e-6).state
         before = len(problem.observations.view)
+        tails = max(tails, heavy_tails(problem.observations.view, reprojection_errors(problem, state)[0]))
         problem, state = _reject(problem, state)
         outlier = outlier_pose(problem, state)
         if outlier is not None:
@@ -200,7 +223,7 @@ def _robust(problem: Problem, state: State, warnings: list[str]) -> tuple[Proble
             consistency.check_motion(problem.observations.base_from_flange)
         elif before - len(problem.observations.view) < 1e-3 * before:
             break
-    return problem, state
+    return problem, state, tails
 
 
 def _without_views(problem: Problem, state: State, keep: NDArray[np.bool_]) -> tuple[Problem, State]:
@@ -210,29 +233,69 @@ def _without_views(problem: Problem, state: State, keep: NDArray[np.bool_]) -> t
     if len(observations.names) < consistency.LEAST_VIEWS:
         raise TooFewViewsError(f"{len(observations.names)} views are left after outliers: add views")
     noise = replace(problem.noise, camera=problem.noise.camera[keep])
-    problem = replace(problem, observations=observations, noise=noise, trusted=problem.trusted[keep])
-    return problem, replace(state, points=points, base_from_flange=state.base_from_flange[keep])
+    problem = replace(problem, noise=noise, trusted=problem.trusted[keep])
+    return _changed(problem, replace(state, points=points, base_from_flange=state.base_from_flange[keep]), observations)
 
 
-def _refine(problem: Problem, state: State, robot: RobotNoise) -> tuple[Problem, State, tuple[float, float]]:
+def _refine(
+    problem: Problem, state: State, options: SelfCalibrationOptions
+) -> tuple[Problem, State, tuple[float, float]]:
     """Alternate least squares, the estimation of all noise from the residuals, and a last check for wrong codes."""
     problem = replace(problem, huber=np.inf)
     inflation = (1.0, 1.0)
-    for i in range(4):
+    for i in range(_ROUNDS):
         state = adjust(problem, state, iterations=15, tolerance=1e-7).state
         lin = linearise(problem, state)
-        noise = estimate(problem, lin, *covariance(normal_equations(problem, lin)), robot)
+        noise = estimate(problem, lin, *covariance(normal_equations(problem, lin)), options.robot)
         problem = replace(problem, noise=noise)
-        if i < 3:
+        if i < _ROUNDS - 1:
             problem, state = _reject(problem, state)
+            if problem.displacement is not None:
+                problem = _with_centroids(problem, state)
     inflated, *factors = inflate(problem, linearise(problem, state))
     inflation = (factors[0], factors[1])
     state = adjust(inflated, state, iterations=10, tolerance=1e-9).state
     return inflated, state, inflation
 
 
+def _covariances(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Return the covariances of the reduced parameters (P, P) and of the dots (K, 3, 3)."""
+    found = covariance(normal_equations(problem, linearise(problem, state)))
+    if problem.considered:
+        found = consider(problem.layout, problem.considered, *found)
+    return found[0], found[1]
+
+
+def _start_centroids(problem: Problem, state: State, spot_diameter: float, tails: float) -> tuple[Problem, State]:
+    """Model the displacement of centroids, with the dots' variance estimated or held at its prior.
+
+    Errors with heavy tails show real images. Their light has further effects that no model here holds, alike enough to
+    the modelled ones to mislead the estimate: then the variance of a disc is the better figure, and its uncertainty is
+    passed on. Errors that follow the normal distribution allow to estimate it.
+    """
+    mean, spread = centroids.prior(spot_diameter)
+    real = tails > HEAVY_TAILS
+    state = replace(state, variance=mean)
+    problem = replace(
+        problem, variance_prior=(mean, 1e-3 * mean if real else 2 * mean), considered=spread if real else 0.0
+    )
+    return _with_centroids(problem, state), state
+
+
+def _with_centroids(problem: Problem, state: State) -> Problem:
+    displacement, smooth = centroids.displacements(
+        problem.observations,
+        state.points,
+        state.base_from_flange @ state.flange_from_camera,
+        state.base_from_projector,
+        lens.with_parameters(problem.camera, state.camera),
+        lens.with_parameters(problem.projector, state.projector),
+    )
+    return replace(problem, displacement=displacement, smooth=smooth)
+
+
 def _try_distortion(
-    problem: Problem, state: State, inflation: tuple[float, float], robot: RobotNoise
+    problem: Problem, state: State, inflation: tuple[float, float], options: SelfCalibrationOptions
 ) -> tuple[Problem, State, tuple[float, float]]:
     """Add the projector's k1, and keep it where it is significant and lowers the residuals."""
     model = lens.with_parameters(problem.projector, state.projector)
@@ -244,8 +307,8 @@ def _try_distortion(
         projector=problem.noise.projector / np.sqrt(inflation[1]),
     )
     bent = replace(problem, projector=model, free_projector=free, noise=plain)
-    bent, bent_state, bent_inflation = _refine(bent, replace(state, projector=lens.parameters(model)), robot)
-    parameters, _, _ = covariance(normal_equations(bent, linearise(bent, bent_state)))
+    bent, bent_state, bent_inflation = _refine(bent, replace(state, projector=lens.parameters(model)), options)
+    parameters, _ = _covariances(bent, bent_state)
     index = bent.layout.projector.stop - 1
     sigma = np.sqrt(parameters[index, index])
     if abs(bent_state.projector[4]) > SIGNIFICANT * sigma and sigma < 0.5:
@@ -257,7 +320,7 @@ def _result(
     problem: Problem, state: State, warnings: list[str], inflation: tuple[float, float], total: int
 ) -> SelfCalibration:
     observations, layout = problem.observations, problem.layout
-    parameters, dots, _ = covariance(normal_equations(problem, linearise(problem, state)))
+    parameters, dots = _covariances(problem, state)
     in_camera, in_projector = reprojection_errors(problem, state)
     counts = np.bincount(observations.view, minlength=layout.views)
     squares = np.bincount(observations.view, in_camera**2, layout.views)
@@ -292,6 +355,7 @@ def _result(
         left_out=LeftOut(),
         noise=problem.noise,
         inflation=inflation,
+        dot_variance=(state.variance, float(sigma[layout.variance].sum())),
         observations=len(observations.view),
         rejected=total - len(observations.view),
         scene_depth=float(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(len(centred))),

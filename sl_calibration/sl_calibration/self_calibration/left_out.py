@@ -42,11 +42,16 @@ def _measure(problem: Problem, state: State, out: NDArray[np.bool_]) -> tuple[Ar
     """Return sums of squares and numbers of the four errors of :class:`LeftOut` for the views ``out`` (V,)."""
     observations = problem.observations
     kept, _ = drop_views(observations, ~out, observations.pixels)
+    displacement = problem.displacement
+    if displacement is not None:
+        displacement = displacement[~out[observations.view]]
     seen = np.bincount(kept.point, minlength=len(observations.dots)) > 0
     kept, points = drop_dots(kept, seen, state.points)
     fit = replace(
         problem,
         observations=kept,
+        displacement=displacement,
+        smooth=problem.smooth[seen] if problem.smooth is not None else None,
         noise=replace(problem.noise, camera=problem.noise.camera[~out]),
         trusted=problem.trusted[~out],
     )

@@ -68,12 +68,20 @@ def right_observations(
     return ~known | (np.where(known, error, 0.0) <= limit[view])
 
 
+def heavy_tails(view: IntArray, error: Array) -> float:
+    """Return the share of errors (M,) [px] between four and ten standard deviations of their view; wrong codes lie beyond."""
+    ratio = error / robust_scale(view, error, int(view.max()) + 1)[view]
+    return float(np.mean((ratio > 4) & (ratio < 10)))
+
+
 def reprojection_errors(problem: Problem, state: State) -> tuple[Array, Array]:
     """Return the errors (M,) in the camera and (K,) in the projector [px]; inf behind either."""
     observations = problem.observations
     _, in_camera = camera_points(state, observations)
     in_projector = transforms.apply(transforms.inverse(state.base_from_projector), state.points)
     seen, _, _ = lens.project(problem.camera.distortion_model, state.camera, in_camera)
+    if problem.displacement is not None:
+        seen = seen + state.variance * problem.displacement
     shown, _, _ = lens.project(problem.projector.distortion_model, state.projector, in_projector)
     camera_error = np.linalg.norm(observations.pixels - seen, axis=-1)
     projector_error = np.linalg.norm(observations.projector_pixels - shown, axis=-1)

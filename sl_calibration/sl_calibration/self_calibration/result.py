@@ -58,6 +58,8 @@ class SelfCalibration:
         left_out: Errors of views left out.
         noise: Standard deviations estimated from the residuals.
         inflation: Variance factors for correlated errors, of camera and projector.
+        dot_variance: Variance of the dots that shifts their centroids, and its standard deviation [projector px^2];
+            0, 0: not modelled.
         observations: Number of observations used.
         rejected: Number of observations rejected as outliers.
         warnings: Sentences: views left out and why, weak spots and what to add.
@@ -86,6 +88,7 @@ class SelfCalibration:
     left_out: LeftOut
     noise: Noise
     inflation: tuple[float, float]
+    dot_variance: tuple[float, float]
     observations: int
     rejected: int
     scene_depth: float
