@@ -41,7 +41,7 @@ def declare(
     """
     constraint = _constraint(minimum, maximum, unit, choices)
     descriptor = ParameterDescriptor(
-        description=f"{description} [{unit}]" if unit else description,
+        description=f"{description} [{unit}]" if unit and unit != "1" else description,
         additional_constraints=constraint,
         dynamic_typing=True,
         read_only=fixed,
@@ -63,7 +63,8 @@ def _constraint(minimum: float | None, maximum: float | None, unit: str, choices
     low = f"at least {minimum:g}" if minimum is not None else ""
     high = f"at most {maximum:g}" if maximum is not None else ""
     text = " and ".join(t for t in (low, high) if t)
-    return f"{text} {unit}".strip() if text else ""
+    symbol = unit if unit != "1" and " " not in unit else ""  # a number has none, and a remark is not a unit
+    return f"{text} {symbol}".strip() if text else ""
 
 
 def _check(
