@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sl_decoder.compiled import compiled
 from sl_decoder.segmentation import Segments
 
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
@@ -26,7 +26,8 @@ class Dots:
     centre (N, 2) float32 px; colour (N, 3) float32 B, G, R above the background, mean over the core, counts;
     covariance (N, 3) float32 xx, xy, yy of the core, px^2; area (N,) int32 pixels of the core (above half of the peak);
     noise (N,) float32 uncertainty of a colour channel, counts; saturated (N,) float32 share of saturated core pixels;
-    cut (N,) bool: touches the border of the image.
+    cut (N,) bool: touches the border of the image; profile (N,) float32: logarithm of the affine-invariant radial kurtosis,
+    which tells shapes apart (ring < disc < square < cross, triangle).
     """
 
     centre: NDArray[np.float32]
@@ -36,14 +37,15 @@ class Dots:
     noise: NDArray[np.float32]
     saturated: NDArray[np.float32]
     cut: NDArray[np.bool_]
+    profile: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.noise)
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def _measure(signal, smooth, hat, label, xs, ys, start, peak, floor, circle,  # type: ignore[no-untyped-def]
-             centre, colour, covariance, area, noise, saturated, cut):
+             centre, colour, covariance, area, noise, saturated, cut, profile):
     h, w = hat.shape
     values = hat.ravel()
     channels = signal.reshape(-1)
@@ -159,6 +161,7 @@ def _measure(signal, smooth, hat, label, xs, ys, start, peak, floor, circle,  # 
         w1 = max(c1, np.float32(0))
         w2 = max(c2, np.float32(0))
         total = w0 + w1 + w2
+        profile[j] = np.float32(0)
         if total <= 0:
             centre[j, 0] = cx
             centre[j, 1] = cy
@@ -201,6 +204,17 @@ def _measure(signal, smooth, hat, label, xs, ys, start, peak, floor, circle,  # 
             ox = oy = np.float32(0)
         centre[j, 0] = cx + ox
         centre[j, 1] = cy + oy
+        sw = m2 = m4 = np.float32(0)
+        for k in range(count):
+            dx = vx[k] - ox
+            dy = vy[k] - oy
+            v = max(vv[k], np.float32(0))
+            r2 = ixx * dx * dx + ixy * dx * dy + iyy * dy * dy
+            sw += v
+            m2 += v * r2
+            m4 += v * r2 * r2
+        if m2 > 0:
+            profile[j] = np.log(m4 * sw / (m2 * m2))
 
 
 _ANGLE = np.arange(16) * (2 * np.pi / 16)
@@ -218,8 +232,9 @@ def measure(segments: Segments) -> Dots:
         noise=np.empty(n, np.float32),
         saturated=np.empty(n, np.float32),
         cut=np.empty(n, np.bool_),
+        profile=np.zeros(n, np.float32),
     )
     _measure(segments.signal, segments.smooth, segments.hat, segments.label, segments.xs, segments.ys, segments.start,
              segments.peak, segments.floor, _CIRCLE, dots.centre, dots.colour, dots.covariance, dots.area, dots.noise,
-             dots.saturated, dots.cut)
+             dots.saturated, dots.cut, dots.profile)
     return dots

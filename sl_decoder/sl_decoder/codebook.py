@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from pattern_gen import Grid, Pattern
-
 from sl_common.errors import StructuredLightError
+
+from pattern_gen import Grid, Pattern
+from sl_decoder.compiled import compiled
 from sl_decoder.lattice import HEXAGONAL, SQUARE, Lattice, from_axial, to_axial
 
 
@@ -52,7 +52,7 @@ def window_code(letters: np.ndarray, alphabet: int) -> int:
     return int(sum(int(letter) * alphabet**place for place, letter in enumerate(letters)))
 
 
-@njit(cache=True)
+@compiled
 def find_code(codes, code):  # type: ignore[no-untyped-def]
     """Index of the first entry of the sorted `codes` that equals `code`, or -1."""
     low = 0

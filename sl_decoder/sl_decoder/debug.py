@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pattern_gen import Pattern
 
+from pattern_gen import Pattern
 from sl_decoder.decoded import REASON_TEXT, Decoded, Reason
 
 _REASON_COLOUR = {

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pattern_gen import Pattern
-
 from sl_common.errors import StructuredLightError
+
+from pattern_gen import Pattern
 from sl_decoder import centres, letters, segmentation
 from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours

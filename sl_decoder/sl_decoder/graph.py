@@ -14,7 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from sl_decoder.compiled import compiled
 
 NEIGHBOURS = 16  # candidates looked at around each dot
 TOLERANCE = 0.30  # a neighbour lies this close to its prediction, in units of the local lattice spacing
@@ -33,7 +34,7 @@ class Graph:
     count: int
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def nearest(points, k):  # type: ignore[no-untyped-def]
     """Indices (N, k) int32 of the k nearest other points of points (N, 2) float32, by distance, -1 where there are fewer."""
     n = len(points)
@@ -130,7 +131,7 @@ def nearest(points, k):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def smooth_shapes(covariance, near):  # type: ignore[no-untyped-def]
     """Mean footprint (N, 3) over each dot and its eight nearest, each normalised to unit area first."""
     n = len(covariance)
@@ -153,7 +154,7 @@ def smooth_shapes(covariance, near):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@compiled
 def local_bases(points, shape, near, directions, tolerance, links, quality):  # type: ignore[no-untyped-def]
     """Lattice neighbours of every dot: links (N, D) int32, quality (N,) float32 (sum of squared errors, inf none)."""
     n, k = near.shape
@@ -263,7 +264,7 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):  # 
                     break
 
 
-@njit(cache=True)
+@compiled
 def components(links, quality, steps, component, frame, u, v):  # type: ignore[no-untyped-def]
     """Follow links from the best dots on; returns the number of components.
 

@@ -8,7 +8,8 @@ afterwards (judgement.py), together with its neighbours.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sl_decoder.compiled import compiled
 
 REACH = 0.35  # a dot is looked for this far from its prediction, in lattice units
 LETTER_WEIGHT = 0.05  # lattice units that a fitting letter is worth (per log-odds) when two dots compete
@@ -16,7 +17,7 @@ LETTER_WEIGHT = 0.05  # lattice units that a fitting letter is worth (per log-od
 FULL, INTERPOLATED, EXTRAPOLATED, UNPREDICTED = 0, 1, 2, 3
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def predict(claim, centre, v, u, steps):  # type: ignore[no-untyped-def]
     """Position of map element (u, v) from the held elements around it.
 
@@ -162,7 +163,7 @@ def predict(claim, centre, v, u, steps):  # type: ignore[no-untyped-def]
     return sx / sw, sy / sw, kind, ax / na, ay / na, bx / nb, by / nb
 
 
-@njit(cache=True, inline="always")
+@compiled
 def lattice_error(ex, ey, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Length of an image vector in units of the lattice basis (a, b), inf for a degenerate or mirrored basis."""
     det = ax * by - ay * bx
@@ -173,7 +174,7 @@ def lattice_error(ex, ey, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     return np.float32(np.sqrt(s * s + t * t))
 
 
-@njit(cache=True)
+@compiled
 def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map_letters, steps, reach):  # type: ignore[no-untyped-def]
     """Claim free dots around the held ones until nothing fits any more; returns how many were added.
 

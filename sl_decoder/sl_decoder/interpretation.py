@@ -39,6 +39,7 @@ class Interpretation:
         self.noise = _roomy(dots.noise, room)
         self.saturated = _roomy(dots.saturated, room)
         self.cut = dots.cut
+        self.profile = dots.profile
         self.signal = np.zeros(room, np.float32)
         self.field = np.zeros(room, np.float32)
         self.variance = np.zeros(room, np.float32)
@@ -88,7 +89,7 @@ class Interpretation:
         """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
         n = self.n
         letter, self.model, signal, field, variance = letters.initial_letters(
-            self.alphabet, self.centre[:n], self.colour[:n], self.near, self.at >= 0, first
+            self.alphabet, self.centre[:n], self.colour[:n], self.profile, self.near, self.at >= 0, first
         )
         self.signal[:n], self.field[:n], self.variance[:n] = signal, field, variance
         self.weigh_letters()
@@ -98,8 +99,8 @@ class Interpretation:
         n, model = self.n, self.model
         assert model is not None
         letters.all_evidence(
-            self.colour[:n], self.signal[:n], self.field[:n], self.variance[:n], self.noise[:n], self.alphabet.group,
-            model.direction, model.spread, model.level, model.level_spread, model.stray, self.evidence[:n], self.letter[:n],
+            self.colour[:n], self.profile, self.signal[:n], self.field[:n], self.variance[:n], self.noise[:n],
+            self.alphabet.group, *model.arrays(), self.evidence[:n], self.letter[:n],
         )
 
     def place(self, first_evidence: float) -> int:
@@ -166,7 +167,7 @@ class Interpretation:
             self.centre[:n], self.signal[:n], self.near, known, model.level, held, self.field[:n], self.variance[:n]
         )
         self.model = letters.fit_model(
-            self.alphabet, self.colour[:n], self.signal[:n], self.field[:n], known, held, model.direction, model.level
+            self.alphabet, self.colour[:n], self.profile, self.signal[:n], self.field[:n], known, held, model.direction, model.level
         )
         self.weigh_letters()
 
@@ -187,7 +188,7 @@ class Interpretation:
         self.n = recovery.recover(
             self.claim, self.holder_u, self.holder_v, tried, self.n, smooth, self.centre, self.colour, self.covariance,
             self.area, self.noise, self.saturated, self.signal, self.evidence, self.letter, book.letters, lattice.steps,
-            lattice.window, self.alphabet.group, model.direction, model.spread, model.level, model.level_spread, model.stray, offset,
+            lattice.window, self.alphabet.group, *model.arrays(), offset,
             CIRCLE, recovery.REACH, RECOVERED_LEAST,
         )
         if self.n > before:

@@ -9,8 +9,8 @@ to convince by itself. Beliefs and support are iterated (mean field).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sl_decoder.compiled import compiled
 from sl_decoder.growth import EXTRAPOLATED, FULL, UNPREDICTED, lattice_error, predict
 
 # residuals of true dots from their prediction, in lattice units: mixtures per kind of prediction
@@ -28,7 +28,7 @@ SINGLE = 0.3  # support of one sound neighbour
 SWEEPS = 6
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_of, size):  # type: ignore[no-untyped-def]
     """Evidence of all held elements, each (V, U): letter log-likelihood ratio, position error [lattice units], kind of
     prediction, size: log of the core's area per lattice cell, relative to the neighbours'."""
@@ -63,7 +63,7 @@ def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_o
             size[v, u] = absolute[v, u] - total / n if n > 0 and absolute[v, u] == absolute[v, u] else np.float32(0)
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-untyped-def]
     """Log-odds (V, U) of each held element by itself."""
     rows, cols = claim.shape
@@ -111,7 +111,7 @@ def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-u
             own[v, u] = letter[v, u] + place - np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
 
 
-@njit(cache=True)
+@compiled
 def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):  # type: ignore[no-untyped-def]
     """Release held elements below `least` that are the worst among their neighbours; returns how many.
 
@@ -143,7 +143,7 @@ def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):
     return released
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def solve(claim, own, window, belief):  # type: ignore[no-untyped-def]
     """Beliefs (V, U): log-odds that each held element is right, own evidence and neighbours'; -20 where none is held."""
     rows, cols = claim.shape

@@ -11,8 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from pattern_gen.rendering import coverage
+
 from pattern_gen import Pattern
+from sl_decoder.compiled import compiled
 
 SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
 OUTLIER = 0.04  # share of true dots that fit no hue, over that of false ones
@@ -25,52 +27,85 @@ RIDGE = 0.6  # damping of the field's slopes
 
 @dataclass(frozen=True)
 class Alphabet:
-    """What the pattern says of its letters.
+    """What the pattern says of its A letters.
 
-    colour (A, 3) float64 B, G, R drive values 0..1; group (A,) int32 hue group; direction (G, 3) unit colour of a group;
-    level (A,) float64 logarithm of the drive relative to the group's brightest; share (A,) of the map's dots.
+    colour (A, 3) float64 B, G, R drive values 0..1; hue (A,) and shape (A,) index; group (A,) int32 hue and shape together;
+    direction (G, 3) unit colour of a group; level (A,) float64 logarithm of the drive relative to the group's brightest;
+    share (A,) of the map's dots; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
     """
 
     colour: np.ndarray
+    hue: np.ndarray
+    shape: np.ndarray
     group: np.ndarray
     direction: np.ndarray
     level: np.ndarray
     share: np.ndarray
+    profiles: np.ndarray
+
+
+def sharp_profile(shape: str) -> float:
+    """Logarithm of the radial kurtosis of a shape of the pattern, invariant under affine maps."""
+    mask = coverage(shape, 48.0, np.array([[30.0, 30.0]]), 61)[0]
+    y, x = np.mgrid[:61, :61] - 30.0
+    covariance = np.array([[(mask * x * x).sum(), (mask * x * y).sum()], [(mask * x * y).sum(), (mask * y * y).sum()]])
+    inverse = np.linalg.inv(covariance / mask.sum())
+    r2 = inverse[0, 0] * x * x + 2 * inverse[0, 1] * x * y + inverse[1, 1] * y * y
+    return float(np.log((mask * r2 * r2).sum() * mask.sum() / (mask * r2).sum() ** 2))
 
 
 def read_alphabet(pattern: Pattern) -> Alphabet:
     """The alphabet of a pattern."""
     colour = np.array([letter.rgb[::-1] for letter in pattern.letters], np.float64) / 255.0
     unit = colour / np.linalg.norm(colour, axis=1, keepdims=True)
-    group = np.full(len(colour), -1, np.int32)
+    hue = np.full(len(colour), -1, np.int32)
     directions: list[np.ndarray] = []
     for i, direction in enumerate(unit):
         for g, known in enumerate(directions):
             if direction @ known > SAME_HUE:
-                group[i] = g
+                hue[i] = g
                 break
         else:
-            group[i] = len(directions)
+            hue[i] = len(directions)
             directions.append(direction)
+    names = sorted({letter.shape for letter in pattern.letters}, key=sharp_profile)
+    shape = np.array([names.index(letter.shape) for letter in pattern.letters], np.int32)
+    group = (hue * len(names) + shape).astype(np.int32)
     strength = np.linalg.norm(colour, axis=1)
     level = np.array([np.log(strength[i] / strength[group == group[i]].max()) for i in range(len(colour))])
     share = np.bincount(pattern.symbols.ravel(), minlength=len(colour)).astype(np.float64)
-    return Alphabet(colour, group, np.array(directions), level, share / share.sum())
+    return Alphabet(
+        colour=colour,
+        hue=hue,
+        shape=shape,
+        group=group,
+        direction=np.repeat(np.array(directions), len(names), axis=0),
+        level=level,
+        share=share / share.sum(),
+        profiles=np.array([sharp_profile(name) for name in names], np.float32),
+    )
 
 
 @dataclass
 class LetterModel:
-    """Fitted to one image: direction (G, 3) float32 unit colours, spread (G,) float32 of the angle [rad];
-    level (A,) float32 log signal relative to the field, level_spread (A,); stray: share of dots off the field."""
+    """Fitted to one image. Per group (G,): direction (G, 3) float32 unit colour, spread of the angle [rad], profile and
+    profile_spread of the radial kurtosis; per letter (A,): level (log signal relative to the field) and level_spread;
+    stray: share of dots off the field."""
 
     direction: np.ndarray
     spread: np.ndarray
+    profile: np.ndarray
+    profile_spread: np.ndarray
     level: np.ndarray
     level_spread: np.ndarray
     stray: np.float32 = np.float32(FIRST_STRAY)
 
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The model as the compiled functions take it."""
+        return (self.direction, self.spread, self.profile, self.profile_spread, self.level, self.level_spread, self.stray)
 
-@njit(cache=True)
+
+@compiled
 def quantile(values, share):  # type: ignore[no-untyped-def]
     """Quantile of values (N,) float32 that are sorted in place; 0 for none."""
     n = len(values)
@@ -94,7 +129,7 @@ def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
     return gains
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def _assign_groups(colour, direction, group):  # type: ignore[no-untyped-def]
     """Nearest direction of each dot; returns sums of unit colours per group."""
     n = len(colour)
@@ -119,7 +154,7 @@ def _assign_groups(colour, direction, group):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def local_field(centre, signal, near, letter, level, use, field, field_variance):  # type: ignore[no-untyped-def]
     """Field (N,) at each dot: plane through its neighbours' log signals minus their letters' levels, and its variance.
 
@@ -195,7 +230,7 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
         field_variance[i] = (total + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def _neighbour_mean(values, near, use, out):  # type: ignore[no-untyped-def]
     for i in range(len(values)):
         total = np.float32(0)
@@ -210,7 +245,7 @@ def _neighbour_mean(values, near, use, out):  # type: ignore[no-untyped-def]
         out[i] = total / m if m > 0 else values[i]
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def first_levels(signal, group, near, use, letter_group, ranked, share, groups, level, letter, field):  # type: ignore[no-untyped-def]
     """Split each hue group into its intensities.
 
@@ -276,8 +311,9 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
         _neighbour_mean(relative, near, use, field)
 
 
-@njit(cache=True, fastmath=True)
-def _fit(colour, signal, field, letter, use, letter_group, direction, spread, level, level_spread):  # type: ignore[no-untyped-def]
+@compiled
+def _fit(colour, profile, signal, field, letter, use, letter_group, direction, spread, profile_mean, profile_spread,  # type: ignore[no-untyped-def]
+         level, level_spread):
     """Robust directions, levels and spreads, in place; returns the share of dots off the field."""
     n = len(signal)
     pool = np.empty(n, np.float32)
@@ -314,6 +350,18 @@ def _fit(colour, signal, field, letter, use, letter_group, direction, spread, le
                 pool[m] = np.float32(2) * max(1 - d, np.float32(0))
                 m += 1
             spread[g] = min(max(np.sqrt(quantile(pool[:m], 0.5) / np.float32(1.39)), np.float32(0.02)), np.float32(0.5))
+    if profile_spread[0] > 0:
+        for g in range(len(direction)):
+            m = 0
+            for i in range(n):
+                if use[i] and letter_group[letter[i]] == g:
+                    pool[m] = profile[i]
+                    m += 1
+            if m >= 5:
+                profile_mean[g] = quantile(pool[:m], 0.5)
+                for k in range(m):
+                    pool[k] = abs(pool[k] - profile_mean[g])
+                profile_spread[g] = max(np.float32(1.48) * quantile(pool[:m], 0.5), np.float32(0.01))
     for a in range(len(level)):
         m = 0
         for i in range(n):
@@ -339,12 +387,12 @@ def _fit(colour, signal, field, letter, use, letter_group, direction, spread, le
     return np.float32(min(max(1.2 * off / m, 0.02), 0.4))
 
 
-@njit(cache=True, fastmath=True)
-def letter_evidence(p, q, r, signal, field, field_variance, noise, letter_group, direction, spread, level,  # type: ignore[no-untyped-def]
-                    level_spread, stray, out):
+@compiled
+def letter_evidence(p, q, r, profile, signal, field, field_variance, noise, letter_group, direction, spread, profile_mean,  # type: ignore[no-untyped-def]
+                    profile_spread, level, level_spread, stray, out):
     """Evidence (A,) for each letter of one dot: log-likelihood ratio against a dot that happens to lie there.
 
-    p, q, r: its B, G, R above the background. stray: share of true dots whose intensity does not follow the field (next to
+    p, q, r: its B, G, R above the background; profile: its radial kurtosis, nan where not measured. stray: share of true dots whose intensity does not follow the field (next to
     albedo edges, in highlights); their hue still counts. False dots stray half of the time. A dot that fits no hue speaks
     against every letter. Returns the best letter.
     """
@@ -360,7 +408,11 @@ def letter_evidence(p, q, r, signal, field, field_variance, noise, letter_group,
         g = letter_group[k]
         d = (p * direction[g, 0] + q * direction[g, 1] + r * direction[g, 2]) / norm
         angle2 = np.float32(2) * max(np.float32(1) - d, np.float32(0))
-        hue = np.exp(np.float32(-0.5) * angle2 / (spread[g] * spread[g] + relative))
+        misfit = angle2 / (spread[g] * spread[g] + relative)
+        if profile == profile:
+            z = (profile - profile_mean[g]) / profile_spread[g]
+            misfit += z * z
+        hue = np.exp(np.float32(-0.5) * misfit)
         e = signal - field - level[k]
         s2 = level_spread[k] * level_spread[k] + relative + field_variance
         near = np.exp(np.float32(-0.5) * e * e / s2) / np.sqrt(np.float32(6.2832) * s2)
@@ -377,16 +429,17 @@ def letter_evidence(p, q, r, signal, field, field_variance, noise, letter_group,
     return letter
 
 
-@njit(cache=True, fastmath=True)
-def all_evidence(colour, signal, field, field_variance, noise, letter_group, direction, spread, level,  # type: ignore[no-untyped-def]
-                 level_spread, stray, out, letter):
+@compiled
+def all_evidence(colour, profile, signal, field, field_variance, noise, letter_group, direction, spread, profile_mean,  # type: ignore[no-untyped-def]
+                 profile_spread, level, level_spread, stray, out, letter):
     """`letter_evidence` of N dots: writes the evidence (N, A) and the best letter (N,)."""
     for i in range(len(signal)):
-        letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], signal[i], field[i], field_variance[i],
-                                    noise[i], letter_group, direction, spread, level, level_spread, stray, out[i])
+        letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], profile[i], signal[i], field[i],
+                                    field_variance[i], noise[i], letter_group, direction, spread, profile_mean,
+                                    profile_spread, level, level_spread, stray, out[i])
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def log_signal(colour, direction, group):  # type: ignore[no-untyped-def]
     """Logarithm (N,) of each dot's signal along its group's colour direction."""
     out = np.empty(len(colour), np.float32)
@@ -397,19 +450,56 @@ def log_signal(colour, direction, group):  # type: ignore[no-untyped-def]
     return out
 
 
+@compiled
+def split_shapes(profile, use, share, out):  # type: ignore[no-untyped-def]
+    """Shape (N,) of each dot from its radial kurtosis: ranks cut in the map's shares, then k-means in one dimension."""
+    shapes = len(share)
+    values = profile[use].copy()
+    values.sort()
+    n = len(values)
+    centre = np.zeros(shapes, np.float32)
+    low = 0.0
+    for s in range(shapes):
+        high = low + share[s]
+        centre[s] = values[min(n - 1, int(0.5 * (low + high) * n))] if n > 0 else np.float32(s)
+        low = high
+    for _ in range(8):
+        total = np.zeros(shapes)
+        number = np.zeros(shapes)
+        for i in range(len(profile)):
+            best = 0
+            for s in range(1, shapes):
+                if abs(profile[i] - centre[s]) < abs(profile[i] - centre[best]):
+                    best = s
+            out[i] = best
+            if use[i]:
+                total[best] += profile[i]
+                number[best] += 1
+        for s in range(shapes):
+            if number[s] > 0:
+                centre[s] = total[s] / number[s]
+
+
 def initial_letters(
-    alphabet: Alphabet, centre: np.ndarray, colour: np.ndarray, near: np.ndarray, use: np.ndarray,
+    alphabet: Alphabet,
+    centre: np.ndarray,
+    colour: np.ndarray,
+    profile: np.ndarray,
+    near: np.ndarray,
+    use: np.ndarray,
     first: np.ndarray | None = None,
 ) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray, np.ndarray]:
     """First reading of all dots: letters (N,) int32, the model, log signal (N,), its field (N,) and the field's variance.
 
-    colour (N, 3) float32; near (N, K) int32 neighbours; use (N,) bool: dots that look like part of a lattice; first (A, 3)
-    B G R of the letters from a colour calibration, None: the pattern's own under the gains of the image.
+    colour (N, 3) float32; profile (N,) radial kurtosis; near (N, K) int32 neighbours; use (N,) bool: dots that look like
+    part of a lattice; first (A, 3) B G R of the letters from a colour calibration, None: the pattern's own under the gains
+    of the image.
     """
     chosen = colour[use] if use.sum() >= 9 else colour
     letter_colour = alphabet.colour * channel_gains(alphabet, chosen) if first is None else first
-    groups = len(alphabet.direction)
-    start = np.array([letter_colour[alphabet.group == g].mean(0) for g in range(groups)])
+    hues = int(alphabet.hue.max()) + 1
+    shapes = len(alphabet.profiles)
+    start = np.array([letter_colour[alphabet.hue == h].mean(0) for h in range(hues)])
     if first is None:
         start += 0.08 * start.max(1, keepdims=True)  # some crosstalk is everywhere
     direction = (start / np.linalg.norm(start, axis=1, keepdims=True)).astype(np.float32)
@@ -422,23 +512,46 @@ def initial_letters(
     n = len(colour)
     group = np.empty(n, np.int32)
     _assign_groups(colour, direction, group)
+    if shapes > 1:
+        shape = np.zeros(n, np.int32)
+        share = np.array([alphabet.share[alphabet.shape == s].sum() for s in range(shapes)])
+        split_shapes(profile, use, share, shape)
+        group = (group * shapes + shape).astype(np.int32)
+        direction = np.repeat(direction, shapes, axis=0)
     signal = log_signal(colour, direction, group)
     level = np.zeros(len(alphabet.group), np.float32)
     letter = np.zeros(n, np.int32)
     field = np.empty(n, np.float32)
     variance = np.empty(n, np.float32)
     ranked = np.argsort(alphabet.level, kind="stable")
-    first_levels(signal, group, near, use, alphabet.group, ranked, alphabet.share, groups, level, letter, field)
+    first_levels(
+        signal, group, near, use, alphabet.group, ranked, alphabet.share, hues * shapes, level, letter, field
+    )
     local_field(centre, signal, near, letter, level, use, field, variance)
-    model = fit_model(alphabet, colour, signal, field, letter, use, direction, level)
+    model = fit_model(alphabet, colour, profile, signal, field, letter, use, direction, level)
     return letter, model, signal, field, variance
 
 
-def fit_model(alphabet: Alphabet, colour: np.ndarray, signal: np.ndarray, field: np.ndarray, letter: np.ndarray,
-              use: np.ndarray, direction: np.ndarray, level: np.ndarray) -> LetterModel:
-    """Directions, levels and their spreads from dots of (presumably) known letters."""
+def fit_model(
+    alphabet: Alphabet,
+    colour: np.ndarray,
+    profile: np.ndarray,
+    signal: np.ndarray,
+    field: np.ndarray,
+    letter: np.ndarray,
+    use: np.ndarray,
+    direction: np.ndarray,
+    level: np.ndarray,
+) -> LetterModel:
+    """Directions, profiles, levels and their spreads from dots of (presumably) known letters."""
     direction, level = direction.copy(), level.copy()
-    spread = np.full(len(direction), 0.15, np.float32)
+    groups = len(direction)
+    spread = np.full(groups, 0.15, np.float32)
+    profile_mean = np.zeros(groups, np.float32)
+    profile_spread = np.full(groups, 1e3, np.float32)
     level_spread = np.full(len(level), 0.2, np.float32)
-    stray = _fit(colour, signal, field, letter, use, alphabet.group, direction, spread, level, level_spread)
-    return LetterModel(direction, spread, level, level_spread, np.float32(stray))
+    stray = _fit(colour, profile, signal, field, letter, use, alphabet.group, direction, spread, profile_mean,
+                 profile_spread, level, level_spread)
+    if len(alphabet.profiles) < 2:
+        profile_spread[:] = 1e3  # one shape only: nothing to tell apart
+    return LetterModel(direction, spread, profile_mean, profile_spread, level, level_spread, np.float32(stray))

@@ -7,7 +7,8 @@ out of the noise by itself, that merged with its neighbour, or that merely moved
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sl_decoder.compiled import compiled
 
 WEIGHT = 2.6  # the weight is zero at this many times the size of the core
 LEAST_CONTRAST = 2.5  # standard deviations that a dot's mean must stand above its background
@@ -17,7 +18,7 @@ _ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
 CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, circle, out):  # type: ignore[no-untyped-def]
     """Find and measure the dot near (px, py).
 

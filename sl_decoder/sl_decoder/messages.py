@@ -5,10 +5,10 @@ from __future__ import annotations
 import array
 
 import numpy as np
-from sl_msgs.msg import Correspondences
 from std_msgs.msg import Header
 
 from sl_decoder.decoded import Decoded
+from sl_msgs.msg import Correspondences
 
 
 def _packed(code: str, values: np.ndarray, dtype: type) -> array.array:

@@ -6,13 +6,9 @@ import sys
 import time
 
 import cv2
-from pattern_gen import Pattern
 from pattern_gen.ros_conversions import pattern_from_message
 from rclpy.node import Node
 from sensor_msgs.msg import Image
-from sl_msgs.msg import Correspondences
-from sl_msgs.msg import Pattern as PatternMessage
-
 from sl_common.errors import StructuredLightError
 from sl_common.ros import images
 from sl_common.ros.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -21,6 +17,8 @@ from sl_common.ros.qos import LATCHED, STREAM_PUBLISH, STREAM_SUBSCRIBE
 from sl_common.ros.run import run_node
 from sl_common.ros.stamps import to_ns
 from sl_common.ros.waiting import InputWatch
+
+from pattern_gen import Pattern
 from sl_decoder.colours import load_colours
 from sl_decoder.debug import draw
 from sl_decoder.decoded import Decoded
@@ -28,6 +26,8 @@ from sl_decoder.decoder import Decoder, DecoderOptions
 from sl_decoder.messages import to_message
 from sl_decoder.tracking import Tracker
 from sl_decoder.warmup import warm_up
+from sl_msgs.msg import Correspondences
+from sl_msgs.msg import Pattern as PatternMessage
 
 
 class DecoderNode(Node):

@@ -9,15 +9,15 @@ placement or not) over the lattice, solved by mean-field message passing, cuts t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from sl_decoder.codebook import find_code
+from sl_decoder.compiled import compiled
 
 COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
 SWEEPS = 6
 
 
-@njit(cache=True)
+@compiled
 def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-untyped-def]
     """Lay the components with at least `smallest` dots out on their lattices.
 
@@ -73,7 +73,7 @@ def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-unt
     return cell, at, width
 
 
-@njit(cache=True)
+@compiled
 def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values, turn):  # type: ignore[no-untyped-def]
     """Look every whole window up.
 
@@ -113,7 +113,7 @@ def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values,
     return votes[:m], code_of
 
 
-@njit(cache=True)
+@compiled
 def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, codes, values, turn, todo):  # type: ignore[no-untyped-def]
     """Votes of the windows of the dots `todo` (N,) bool with one letter replaced by each other one."""
     n = len(at)
@@ -155,7 +155,7 @@ def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, code
     return votes[:m]
 
 
-@njit(cache=True)
+@compiled
 def rank_placements(votes, component, smallest):  # type: ignore[no-untyped-def]
     """Distinct placements with at least `smallest` votes, most votes first: (P, 5) int32 component, k, u, v, votes;
     and for each vote the index of its placement or -1."""
@@ -197,7 +197,7 @@ def rank_placements(votes, component, smallest):  # type: ignore[no-untyped-def]
     return found[:n][rank[:kept]], of
 
 
-@njit(cache=True)
+@compiled
 def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, map_letters, window, turn,  # type: ignore[no-untyped-def]
                     coupling, sweeps, belief, work, members):
     """Log-odds that each dot of the component belongs to a placement, by mean-field over the lattice.
@@ -264,7 +264,7 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
     return count, own
 
 
-@njit(cache=True)
+@compiled
 def place(found, of, votes, cell, at, width, component, u, v, log_p, map_letters, window, turn, coupling, sweeps,  # type: ignore[no-untyped-def]
           first_evidence, next_evidence, least_belief, claim, holder_u, holder_v):
     """Accept placements by their evidence and let their dots claim the map's elements.

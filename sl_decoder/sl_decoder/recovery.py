@@ -7,8 +7,8 @@ places with their expected shape and colour. What is found is claimed like any o
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sl_decoder.compiled import compiled
 from sl_decoder.growth import EXTRAPOLATED, UNPREDICTED, lattice_error, predict
 from sl_decoder.letters import letter_evidence
 from sl_decoder.matched import measure_at
@@ -17,10 +17,10 @@ REACH = 0.3  # search radius around the prediction, lattice units
 APART = 0.5  # a recovered dot keeps this distance from all held ones, lattice units
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covariance, area, noise, saturated, signal,  # type: ignore[no-untyped-def]
-            log_p, letter, map_letters, steps, window, letter_group, direction, spread, level, level_spread,
-            stray, level_offset, circle, reach, least):
+            log_p, letter, map_letters, steps, window, letter_group, direction, spread, profile_mean,
+            profile_spread, level, level_spread, stray, level_offset, circle, reach, least):
     """Look for the dots of all free elements next to held ones, outwards until nothing more is found.
 
     Writes new dots behind the first `n` of the per-dot arrays (as long as there is room) and claims them. tried (V, U)
@@ -94,8 +94,9 @@ def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covaria
         i = n
         projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
         s = np.log(max(projected, np.float32(0.5))) - level_offset
-        letter[i] = letter_evidence(found[2], found[3], found[4], s, field, variance, found[5], letter_group, direction,
-                                    spread, level, level_spread, stray, log_p[i])
+        letter[i] = letter_evidence(found[2], found[3], found[4], np.float32(np.nan), s, field, variance, found[5],
+                                    letter_group, direction, spread, profile_mean, profile_spread, level,
+                                    level_spread, stray, log_p[i])
         if log_p[i, expected] < least:
             continue
         centre[i, 0], centre[i, 1] = found[0], found[1]
@@ -118,7 +119,7 @@ def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covaria
     return n
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, letter_group, direction, circle, most):  # type: ignore[no-untyped-def]
     """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
     rows, cols = claim.shape

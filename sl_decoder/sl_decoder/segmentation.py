@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sl_decoder.compiled import compiled
 
 BLOCK = 32  # side of the squares in which noise is measured [px]
 SADDLE_RATIO = 0.8  # maxima that connect above this share of their height are one dot
@@ -46,7 +47,7 @@ class Segments:
         return len(self.peak)
 
 
-@njit(cache=True)
+@compiled
 def measure_noise(hat, factor, floor, threshold):  # type: ignore[no-untyped-def]
     """Level and threshold of the background per block, from low percentiles (dots cover the smaller part)."""
     h, w = hat.shape
@@ -92,7 +93,7 @@ def measure_noise(hat, factor, floor, threshold):  # type: ignore[no-untyped-def
             threshold[by, bx] = a / n + max(3.0, factor * b / n)
 
 
-@njit(cache=True)
+@compiled
 def flood(hat, level, threshold, label, xs, ys, start, peak, base):  # type: ignore[no-untyped-def]
     """Blobs around the maxima of the top-hat.
 

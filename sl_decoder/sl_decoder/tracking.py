@@ -12,10 +12,10 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sl_decoder.centres import Dots
+from sl_decoder.compiled import compiled
 from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, check_image
 from sl_decoder.growth import UNPREDICTED, predict
@@ -42,7 +42,7 @@ class TrackerOptions:
     reach: float = 0.35
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def follow(index, place, shape, claim, smooth, map_letters, steps, window, letter_group, direction, offset, circle, reach,  # type: ignore[no-untyped-def]
            centre, colour, covariance, noise, saturated, signal, holder_u, holder_v):
     """Measure all dots around their predicted places.
@@ -92,9 +92,9 @@ def follow(index, place, shape, claim, smooth, map_letters, steps, window, lette
     return n
 
 
-@njit(cache=True, fastmath=True)
-def weigh_on_map(claim, colour, signal, noise, map_letters, window, letter_group, direction, spread, level, level_spread,  # type: ignore[no-untyped-def]
-                 stray, evidence, letter):
+@compiled
+def weigh_on_map(claim, colour, signal, noise, map_letters, window, letter_group, direction, spread, profile_mean,  # type: ignore[no-untyped-def]
+                 profile_spread, level, level_spread, stray, evidence, letter):
     """Letter evidence of all held dots against the field of their neighbours on the map."""
     rows, cols = claim.shape
     for v in range(rows):
@@ -118,11 +118,12 @@ def weigh_on_map(claim, colour, signal, noise, map_letters, window, letter_group
             else:
                 field /= m
                 variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
-            letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], signal[i], field, variance, noise[i],
-                                        letter_group, direction, spread, level, level_spread, stray, evidence[i])
+            letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], np.float32(np.nan), signal[i], field,
+                                        variance, noise[i], letter_group, direction, spread, profile_mean,
+                                        profile_spread, level, level_spread, stray, evidence[i])
 
 
-@njit(cache=True, fastmath=True)
+@compiled
 def remember(claim, centre, covariance, steps, shape, basis_known):  # type: ignore[no-untyped-def]
     """Footprints (V, U, 3) of the held dots in lattice units: B^-1 C B^-T."""
     rows, cols = claim.shape
@@ -236,7 +237,7 @@ class Tracker:
         reading.set_tracked(n)
         weigh_on_map(
             reading.claim, reading.colour, reading.signal, reading.noise, book.letters, lattice.window,
-            decoder.alphabet.group, model.direction, model.spread, model.level, model.level_spread, model.stray,
+            decoder.alphabet.group, *model.arrays(),
             reading.evidence, reading.letter,
         )
         reading.judge(decoder.limit)
@@ -301,4 +302,5 @@ def _blank(n: int) -> Dots:
         noise=np.ones(n, np.float32),
         saturated=np.zeros(n, np.float32),
         cut=np.zeros(n, np.bool_),
+        profile=np.zeros(n, np.float32),
     )

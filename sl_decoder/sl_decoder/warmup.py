@@ -6,8 +6,8 @@ import sys
 import time
 
 import numpy as np
-from pattern_gen import Pattern, default_pattern
 
+from pattern_gen import Pattern, default_pattern
 from sl_decoder.decoder import Decoder
 from sl_decoder.tracking import Tracker
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from pattern_gen import Pattern
-from tqdm import tqdm
-
 from sl_common.errors import StructuredLightError
 from sl_common.files import atomic_path, write_text
+from tqdm import tqdm
+
+from pattern_gen import Pattern
 from sl_decoder.debug import draw
 from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, DecoderOptions

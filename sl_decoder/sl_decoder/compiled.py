@@ -1,0 +1,9 @@
+"""The one way in which this package compiles its loops.
+
+Cached on disk (the build and a node's start-up compile, never a callback); divisions follow numpy; floating-point sums may
+be reordered, while nan and inf keep their meaning.
+"""
+
+from numba import njit
+
+compiled = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
