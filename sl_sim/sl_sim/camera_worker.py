@@ -8,6 +8,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -26,8 +27,11 @@ def _serve(pipe: Connection, settings: CellSettings, effects: Effects, self_shad
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(10)  # an image may be late, a control period may not
     try:
+        import cv2
+
         from sl_sim.camera_simulation import CameraSimulation  # here: the parent needs neither compiler nor ray caster
 
+        cv2.setNumThreads(1)
         simulation = CameraSimulation(Cell(settings), effects, self_shadow=self_shadow)
         pipe.send("ready")
         while True:
@@ -41,6 +45,20 @@ def _serve(pipe: Connection, settings: CellSettings, effects: Effects, self_shad
         pipe.send(WorkerError(f"rendering failed: {type(error).__name__}: {error}"))
 
 
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes started inside use one thread for linear algebra: a second one is waited for on a busy machine."""
+    before = os.environ.get("OPENBLAS_NUM_THREADS")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["OPENBLAS_NUM_THREADS"]
+        else:
+            os.environ["OPENBLAS_NUM_THREADS"] = before
+
+
 class CameraWorker:
     """Handle of the rendering process, used by one thread of the parent."""
 
@@ -48,7 +66,8 @@ class CameraWorker:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, settings, effects, self_shadow), daemon=True)
-        self._process.start()
+        with _one_thread():
+            self._process.start()
         theirs.close()
         self._busy = True  # until it says ready
 

@@ -16,7 +16,7 @@ from sl_sim.light import LightSource, aimed_projector
 from sl_sim.projector import channel_light, light_image
 from sl_sim.raycast import RayCaster
 from sl_sim.renderer import Renderer
-from sl_sim.spot_truth import SpotTruth, spot_truth
+from sl_sim.spot_truth import SpotTruth, count_visible, spot_truth
 
 CAMERAS = ("vga", "vga_barrel", "hd", "hd_barrel")
 LEAST_SPOTS = 120
@@ -172,17 +172,13 @@ def render_shot(
         camera_model = random_camera(camera, rng)
         projector, base_from_projector = random_projector(pattern.projector_width, pattern.projector_height, rng)
         base_from_camera = random_view(rng, distance=distance, oblique=oblique)
-        truth = spot_truth(
-            caster,
-            camera_model,
-            base_from_camera,
-            projector,
-            base_from_projector,
-            np.asarray(pattern.centers),
-            pattern.spot_diameter,
-        )
+        place = (caster, camera_model, base_from_camera, projector, base_from_projector, np.asarray(pattern.centers))
+        enough = min(LEAST_SPOTS, 0.4 * pattern.symbols.size)
+        if count_visible(*place) < enough:
+            continue
+        truth = spot_truth(*place, pattern.spot_diameter)
         good = truth.visible & ~truth.edge & (truth.axes_px[..., 0] >= 2.0)
-        if good.sum() >= min(LEAST_SPOTS, 0.4 * good.size):
+        if good.sum() >= enough:
             break
     else:
         raise NoViewError(f"no view of scene '{scene}' (seed {seed}) shows {LEAST_SPOTS} spots; use another seed")

@@ -170,36 +170,23 @@ def uneven_cells(
             uneven[i, j] = 1 if bad else 0
 
 
-@njit(cache=True, fastmath=True)
-def _look_up(
-    light: np.ndarray,
-    scale: float,
-    u: float,
-    v: float,
-    out: np.ndarray,
-) -> None:
+@njit(cache=True, fastmath=True, inline="always")
+def _look_up(light: np.ndarray, scale: float, u: float, v: float) -> tuple[float, float, float]:
     """Bilinear light (h, w, 3) at projector pixel (u, v) of the unscaled panel; nothing outside."""
     h, w = light.shape[0], light.shape[1]
     x = (u + 0.5) * scale - 0.5
     y = (v + 0.5) * scale - 0.5
-    out[0] = out[1] = out[2] = 0.0
-    if not (x > -1.0 and y > -1.0 and x < w and y < h):
-        return
-    x0, y0 = int(np.floor(x)), int(np.floor(y))
-    fx, fy = x - x0, y - y0
-    for b in range(2):
-        yy = y0 + b
-        if yy < 0 or yy >= h:
-            continue
-        wy = fy if b else 1.0 - fy
-        for a in range(2):
-            xx = x0 + a
-            if xx < 0 or xx >= w:
-                continue
-            weight = wy * (fx if a else 1.0 - fx)
-            out[0] += weight * light[yy, xx, 0]
-            out[1] += weight * light[yy, xx, 1]
-            out[2] += weight * light[yy, xx, 2]
+    if not (x >= 0.0 and y >= 0.0 and x < w - 1 and y < h - 1):
+        return np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    x0, y0 = int(x), int(y)
+    fx, fy, one = np.float32(x - x0), np.float32(y - y0), np.float32(1.0)
+    w00, w01, w10, w11 = (one - fy) * (one - fx), (one - fy) * fx, fy * (one - fx), fy * fx
+    above, below = light[y0], light[y0 + 1]
+    return (
+        w00 * above[x0, 0] + w01 * above[x0 + 1, 0] + w10 * below[x0, 0] + w11 * below[x0 + 1, 0],
+        w00 * above[x0, 1] + w01 * above[x0 + 1, 1] + w10 * below[x0, 1] + w11 * below[x0 + 1, 1],
+        w00 * above[x0, 2] + w01 * above[x0 + 1, 2] + w10 * below[x0, 2] + w11 * below[x0 + 1, 2],
+    )
 
 
 @njit(cache=True, fastmath=True)
@@ -226,54 +213,44 @@ def gather(
     `across`. Cells with slot_of_cell >= 0 have their own traced samples fine_* (slots, across * across, .).
     """
     height, width = image.shape[0], image.shape[1]
-    texel = np.zeros(3)
-    share = 1.0 / (samples * samples)
+    share, one = np.float32(1.0 / (samples * samples)), np.float32(1.0)
     for i in range(height):
         for j in range(width):
-            red, green, blue = 0.0, 0.0, 0.0
+            red = green = blue = np.float32(0.0)
             for si in range(samples):
                 ky = i * samples + si
                 ci, fy = cell[ky], fraction[ky]
+                sky0, sky1, gain0, gain1, uv0, uv1 = sky[ci], sky[ci + 1], gain[ci], gain[ci + 1], uv[ci], uv[ci + 1]
                 for sj in range(samples):
                     kx = j * samples + sj
-                    cj = cell[kx]
-                    slot = slot_of_cell[ci, cj]
+                    a = cell[kx]
+                    b = a + 1
+                    slot = slot_of_cell[ci, a]
                     if slot >= 0:
                         p = part[ky] * across + part[kx]
-                        red += fine_sky[slot, p, 0]
-                        green += fine_sky[slot, p, 1]
-                        blue += fine_sky[slot, p, 2]
-                        if fine_gain[slot, p, 0] + fine_gain[slot, p, 1] + fine_gain[slot, p, 2] > 0.0:
-                            _look_up(light, scale, fine_uv[slot, p, 0], fine_uv[slot, p, 1], texel)
-                            red += fine_gain[slot, p, 0] * texel[0]
-                            green += fine_gain[slot, p, 1] * texel[1]
-                            blue += fine_gain[slot, p, 2] * texel[2]
+                        at, own = fine_sky[slot, p], fine_gain[slot, p]
+                        red, green, blue = red + at[0], green + at[1], blue + at[2]
+                        if own[0] + own[1] + own[2] > 0.0:
+                            light_r, light_g, light_b = _look_up(light, scale, fine_uv[slot, p, 0], fine_uv[slot, p, 1])
+                            red += own[0] * light_r
+                            green += own[1] * light_g
+                            blue += own[2] * light_b
                         continue
                     fx = fraction[kx]
-                    w00, w01 = (1.0 - fy) * (1.0 - fx), (1.0 - fy) * fx
-                    w10, w11 = fy * (1.0 - fx), fy * fx
-                    red += (w00 * sky[ci, cj, 0] + w01 * sky[ci, cj + 1, 0] + w10 * sky[ci + 1, cj, 0]
-                            + w11 * sky[ci + 1, cj + 1, 0])  # fmt: skip
-                    green += (w00 * sky[ci, cj, 1] + w01 * sky[ci, cj + 1, 1] + w10 * sky[ci + 1, cj, 1]
-                              + w11 * sky[ci + 1, cj + 1, 1])  # fmt: skip
-                    blue += (w00 * sky[ci, cj, 2] + w01 * sky[ci, cj + 1, 2] + w10 * sky[ci + 1, cj, 2]
-                             + w11 * sky[ci + 1, cj + 1, 2])  # fmt: skip
-                    g0 = (w00 * gain[ci, cj, 0] + w01 * gain[ci, cj + 1, 0] + w10 * gain[ci + 1, cj, 0]
-                          + w11 * gain[ci + 1, cj + 1, 0])  # fmt: skip
-                    g1 = (w00 * gain[ci, cj, 1] + w01 * gain[ci, cj + 1, 1] + w10 * gain[ci + 1, cj, 1]
-                          + w11 * gain[ci + 1, cj + 1, 1])  # fmt: skip
-                    g2 = (w00 * gain[ci, cj, 2] + w01 * gain[ci, cj + 1, 2] + w10 * gain[ci + 1, cj, 2]
-                          + w11 * gain[ci + 1, cj + 1, 2])  # fmt: skip
-                    if g0 + g1 + g2 <= 0.0:
-                        continue
-                    u = (w00 * uv[ci, cj, 0] + w01 * uv[ci, cj + 1, 0] + w10 * uv[ci + 1, cj, 0]
-                         + w11 * uv[ci + 1, cj + 1, 0])  # fmt: skip
-                    v = (w00 * uv[ci, cj, 1] + w01 * uv[ci, cj + 1, 1] + w10 * uv[ci + 1, cj, 1]
-                         + w11 * uv[ci + 1, cj + 1, 1])  # fmt: skip
-                    _look_up(light, scale, u, v, texel)
-                    red += g0 * texel[0]
-                    green += g1 * texel[1]
-                    blue += g2 * texel[2]
+                    w00, w01, w10, w11 = (one - fy) * (one - fx), (one - fy) * fx, fy * (one - fx), fy * fx
+                    red += w00 * sky0[a, 0] + w01 * sky0[b, 0] + w10 * sky1[a, 0] + w11 * sky1[b, 0]
+                    green += w00 * sky0[a, 1] + w01 * sky0[b, 1] + w10 * sky1[a, 1] + w11 * sky1[b, 1]
+                    blue += w00 * sky0[a, 2] + w01 * sky0[b, 2] + w10 * sky1[a, 2] + w11 * sky1[b, 2]
+                    g0 = w00 * gain0[a, 0] + w01 * gain0[b, 0] + w10 * gain1[a, 0] + w11 * gain1[b, 0]
+                    g1 = w00 * gain0[a, 1] + w01 * gain0[b, 1] + w10 * gain1[a, 1] + w11 * gain1[b, 1]
+                    g2 = w00 * gain0[a, 2] + w01 * gain0[b, 2] + w10 * gain1[a, 2] + w11 * gain1[b, 2]
+                    if g0 + g1 + g2 > 0.0:
+                        u = w00 * uv0[a, 0] + w01 * uv0[b, 0] + w10 * uv1[a, 0] + w11 * uv1[b, 0]
+                        v = w00 * uv0[a, 1] + w01 * uv0[b, 1] + w10 * uv1[a, 1] + w11 * uv1[b, 1]
+                        light_r, light_g, light_b = _look_up(light, scale, u, v)
+                        red += g0 * light_r
+                        green += g1 * light_g
+                        blue += g2 * light_b
             image[i, j, 0] = red * share
             image[i, j, 1] = green * share
             image[i, j, 2] = blue * share

@@ -17,7 +17,7 @@ from sl_sim.effects import Effects
 from sl_sim.exposure import exposed_radiance
 from sl_sim.projector import light_image
 from sl_sim.renderer import Renderer
-from sl_sim.spot_truth import SpotTruth, spot_truth
+from sl_sim.spot_truth import SpotTruth, count_visible, spot_truth
 
 LEAST_SPOTS = 300
 
@@ -105,12 +105,14 @@ def _good_view(
 ) -> tuple[np.ndarray, SpotTruth]:
     for _ in range(60):
         positions = random_positions(cell, rng, distance=distance, oblique=oblique)
-        truth = spot_truth(
-            cell.caster, cell.camera, cell.base_from_camera(positions), cell.projector, cell.base_from_projector,
-            np.asarray(pattern.centers), pattern.spot_diameter,
-        )  # fmt: skip
+        pose = cell.base_from_camera(positions)
+        place = (cell.caster, cell.camera, pose, cell.projector, cell.base_from_projector, np.asarray(pattern.centers))
+        enough = min(LEAST_SPOTS, 0.4 * pattern.symbols.size)
+        if count_visible(*place) < enough:
+            continue
+        truth = spot_truth(*place, pattern.spot_diameter)
         good = truth.visible & ~truth.edge
-        if good.sum() >= min(LEAST_SPOTS, 0.4 * good.size):
+        if good.sum() >= enough:
             return positions, truth
     raise NoViewError(f"scene '{cell.scene.name}' shows fewer than {LEAST_SPOTS} spots from 60 random poses")
 

@@ -76,7 +76,7 @@ def filtered(radiance: np.ndarray, falloff: np.ndarray, options: SensorOptions) 
 
 def automatic_exposure(signal: np.ndarray, options: SensorOptions) -> float:
     """Gain that brings the brightest auto_share of the pixels' largest channel to auto_level of the full well."""
-    peak = np.ascontiguousarray(signal.max(-1)).ravel()
+    peak = np.ascontiguousarray(signal[::2, ::2].max(-1)).ravel()  # every other pixel, as metering does
     count = max(1, round(options.auto_share * peak.size))
     level = float(np.partition(peak, peak.size - count)[peak.size - count])
     return options.auto_level / max(level, 1e-6) * 2.0**options.exposure_bias

@@ -90,6 +90,20 @@ def seen(
     return pixels, visible
 
 
+def count_visible(
+    caster: RayCaster,
+    camera: CameraModel,
+    base_from_camera: np.ndarray,
+    projector: CameraModel,
+    base_from_projector: np.ndarray,
+    centers: np.ndarray,
+) -> int:
+    """How many spots' centres (rows, cols, 2) are lit and seen: a quick look before `spot_truth`."""
+    lit = light_up(caster, projector, base_from_projector, centers.reshape(-1, 2))
+    hit = lit.body >= 0
+    return int(seen(caster, camera, base_from_camera, lit.xyz[hit])[1].sum())
+
+
 def _disc() -> tuple[np.ndarray, np.ndarray]:
     """Offsets (n, 2) in disc radii and whether each lies in the disc (else in the margin)."""
     offsets = []
