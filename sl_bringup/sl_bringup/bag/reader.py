@@ -34,7 +34,7 @@ class BagReader:
             self._reader = Reader(folder)
             self._reader.open()
         except Exception as error:  # rosbags raises several kinds for broken files
-            raise BagError(f"{folder} cannot be read: {" ".join(str(error).split())}") from None
+            raise BagError(f"{folder} cannot be read: {' '.join(str(error).split())}") from None
 
     def __enter__(self) -> "BagReader":
         return self
