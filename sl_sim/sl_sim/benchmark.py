@@ -8,11 +8,11 @@ import numpy as np
 
 from pattern_gen import default_pattern
 from sl_sim import arm
-from sl_sim.camera_jobs import Exposure
 from sl_sim.camera_simulation import CameraSimulation
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.driver import ArmDriver
 from sl_sim.effects import EFFECTS
+from sl_sim.exposures import Exposure
 from sl_sim.spot_truth import spot_truth
 
 Row = tuple[str, float, str]

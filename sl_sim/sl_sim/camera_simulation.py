@@ -5,10 +5,10 @@ import numpy as np
 from sl_common import transforms
 from sl_sim import sensor
 from sl_sim.arm import ArmBody
-from sl_sim.camera_jobs import Exposure, Taken
 from sl_sim.cell import Cell
 from sl_sim.effects import Effects
 from sl_sim.errors import CellError
+from sl_sim.exposures import Exposure, Taken
 from sl_sim.projector import light_image
 from sl_sim.renderer import Renderer
 from sl_sim.warmup import warm_up

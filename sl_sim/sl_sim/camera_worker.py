@@ -14,9 +14,9 @@ from typing import Any
 
 from sl_common.errors import StructuredLightError
 
-from sl_sim.camera_jobs import Exposure, Taken
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.effects import Effects
+from sl_sim.exposures import Exposure, Taken
 
 
 class WorkerError(StructuredLightError):

@@ -11,7 +11,7 @@ from pattern_gen import Pattern
 from sl_common import transforms
 from sl_sim import scenes, sensor
 from sl_sim.effects import EFFECTS, Effects
-from sl_sim.exposure import exposed_radiance
+from sl_sim.exposure_integral import exposed_radiance
 from sl_sim.light import LightSource, aimed_projector
 from sl_sim.projector import channel_light, light_image
 from sl_sim.raycast import RayCaster

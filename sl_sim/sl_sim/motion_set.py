@@ -14,7 +14,7 @@ from sl_sim.arm import ArmBody
 from sl_sim.cell import Cell, inverse_kinematics
 from sl_sim.dataset import NoViewError, intrinsics, spot_arrays
 from sl_sim.effects import Effects
-from sl_sim.exposure import exposed_radiance
+from sl_sim.exposure_integral import exposed_radiance
 from sl_sim.projector import light_image
 from sl_sim.renderer import Renderer
 from sl_sim.spot_truth import SpotTruth, count_visible, spot_truth

@@ -18,12 +18,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from sl_common import transforms
 from sl_sim import arm, scenes
-from sl_sim.camera_jobs import Exposure, Taken
 from sl_sim.camera_worker import CameraWorker
 from sl_sim.cell import Cell
 from sl_sim.clockwork import Clockwork
 from sl_sim.driver import ArmDriver
 from sl_sim.errors import CellError
+from sl_sim.exposures import Exposure, Taken
 from sl_sim.ros.commanding import trajectory_setpoints
 from sl_sim.ros.parameters import declare_all
 

@@ -2,11 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sl_sim.camera_jobs import Exposure
 from sl_sim.camera_simulation import CameraSimulation
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.effects import EFFECTS
 from sl_sim.errors import CellError
+from sl_sim.exposures import Exposure
 
 from pattern_gen import default_pattern
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sl_common.cameras import CameraModel
 from sl_sim.effects import EFFECTS
-from sl_sim.exposure import exposed_radiance, lens_points
+from sl_sim.exposure_integral import exposed_radiance, lens_points
 from sl_sim.light import LightSource, aimed_projector
 from sl_sim.projector import light_image
 from sl_sim.raycast import Body, RayCaster
