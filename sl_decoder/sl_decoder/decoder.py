@@ -19,6 +19,10 @@ from sl_decoder.lattice import from_axial, to_axial
 
 SMALLEST_IMAGE = 16  # side [px]
 LEAST_BELIEF = 2.0  # log-odds below which a dot is never given
+LEAST_KERNEL = 12  # side of the background filter [px]
+KERNEL_SHARE = 1 / 36  # of the image's width: a pattern of some sixty columns that fills the image has this pitch
+WIDER_KERNEL = 2.6  # times the usual side, for dots seen from near
+WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
 SATURATED_SHARE = 0.5  # of a dot's core, from which its letter is not trusted
 
 
@@ -65,8 +69,19 @@ class Decoder:
         return self.report(reading, start)
 
     def interpret(self, bgr: NDArray[np.uint8]) -> Interpretation:
-        """All that was found out about an image."""
-        kernel = self.options.kernel or max(12, bgr.shape[1] // 36)
+        """All that was found out about an image.
+
+        The background filter must be wider than the dots; where the usual width explains little of what is seen, a wider
+        one is tried."""
+        usual = self.options.kernel or max(LEAST_KERNEL, round(bgr.shape[1] * KERNEL_SHARE))
+        best = self._interpret_with(bgr, usual)
+        if not self.options.kernel and best.explained() < WELL_EXPLAINED:
+            wider = self._interpret_with(bgr, round(usual * WIDER_KERNEL))
+            if wider.decoded() > best.decoded():
+                best = wider
+        return best
+
+    def _interpret_with(self, bgr: NDArray[np.uint8], kernel: int) -> Interpretation:
         segments = segmentation.segment(bgr, kernel)
         reading = Interpretation(self.codebook, self.alphabet, centres.measure(segments))
         if reading.n < len(self.codebook.lattice.window):
@@ -75,13 +90,17 @@ class Decoder:
         reading.read_letters(self._calibrated)
         trials = np.log(len(self.codebook.codes) * float(reading.n))
         evidence = trials - np.log(self.options.max_false_alarms)
-        if reading.place(evidence):
+        placed = reading.place(evidence)
+        if not reading.is_complete() and reading.refuse_mirrored():
+            placed = reading.place(evidence)
+        if placed:
             reading.grow(self.limit)
             if not reading.is_complete():
                 reading.refit()
                 reading.place(evidence)
                 reading.grow(self.limit)
             reading.recover(segments.smooth, self.limit)
+            reading.drop_cut()
         return reading
 
     def elements(self, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[NDArray, NDArray]:
@@ -94,7 +113,7 @@ class Decoder:
         book = self.codebook
         m = reading.segmented
         if reading.n < len(book.lattice.window):
-            return nothing(blobs=m, decode_time=time.perf_counter() - start)
+            return nothing(blobs=m, rejected=m, decode_time=time.perf_counter() - start)
         reason = np.full(reading.n, Reason.DECODED, np.uint8)
         reason[:m] = Reason.UNKNOWN_CODE
         reason[:m][reading.at < 0] = Reason.NO_NEIGHBOURS
@@ -102,6 +121,8 @@ class Decoder:
         reason[reading.saturated[: reading.n] > SATURATED_SHARE] = Reason.SATURATED
         reason[reading.banned_v[: reading.n] >= 0] = Reason.IMPROBABLE
         reason[reading.holder_v[: reading.n] >= 0] = Reason.DECODED
+        if reading.mirrored:
+            reason[:m][reading.mirrored_dots] = Reason.MIRRORED
         map_v, map_u = np.nonzero(reading.claim >= 0)
         row, col = from_axial(map_u, map_v - book.v_offset, hexagonal=book.hexagonal)
         if book.hexagonal:
@@ -124,6 +145,7 @@ class Decoder:
             inconsistent=int((reason == Reason.INCONSISTENT).sum()),
             rejected=int(((reason != Reason.DECODED) & (reason != Reason.INCONSISTENT)).sum()),
             decode_time=time.perf_counter() - start,
+            mirrored=reading.mirrored,
             inspection=Inspection(reading.centre[: reading.n], reading.letter[: reading.n], links, reason),
         )
 

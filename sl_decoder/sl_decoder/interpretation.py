@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sl_decoder import graph, growth, judgement, letters, placement, recovery
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
+from sl_decoder.lattice import mirrored
 from sl_decoder.letters import Alphabet, LetterModel
 from sl_decoder.matched import CIRCLE
 
@@ -20,6 +21,8 @@ NEXT_EVIDENCE = 14.0  # log-likelihood ratio that further placements need once t
 PLACED_BELIEF = 1.5  # log-odds from which a placed dot may claim its element
 JUDGEMENTS = 12  # most releases of the worst per growth
 GROWTHS = 4
+MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
+NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
@@ -59,6 +62,9 @@ class Interpretation:
         self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
         self.model: LetterModel | None = None
         self.accepted = 0
+        self.mirrored = False
+        self.mirrored_dots = np.zeros(n, np.bool_)
+        self.at = np.full(n, -1, np.int32)
 
     def build_graph(self) -> None:
         """Lattice links and connected components."""
@@ -102,6 +108,8 @@ class Interpretation:
             self.colour[:n], self.profile, self.signal[:n], self.field[:n], self.variance[:n], self.noise[:n],
             self.alphabet.group, *model.arrays(), self.evidence[:n], self.letter[:n],
         )
+        if self.mirrored:
+            self.evidence[:n][self.mirrored_dots] = NOT_OURS
 
     def place(self, first_evidence: float) -> int:
         """Windows vote, placements are verified and claim their elements; returns how many were accepted."""
@@ -123,6 +131,36 @@ class Interpretation:
         self.banned_u[:] = -1
         self.banned_v[:] = -1
         return self.accepted
+
+    def refuse_mirrored(self) -> bool:
+        """Take the components out whose windows lie in the mirrored map; returns whether there are any.
+
+        A mirror image is not nothing but wrong: along the axes of reflection its letters agree with the map's own. So a
+        component counts as mirrored when more of its windows agree on one mirrored placement than on any direct one.
+        """
+        book = self.book
+        lattice = book.lattice
+        du, dv = mirrored(lattice.window[:, 0], lattice.window[:, 1], hexagonal=book.hexagonal)
+        mu, mv = mirrored(self.u, self.v, hexagonal=book.hexagonal)
+        best = []
+        for window, u, v in ((lattice.window, self.u, self.v), (np.stack([du, dv], 1).astype(np.int32), mu, mv)):
+            votes, _ = placement.window_votes(
+                self.cell, self.at, self.width, u, v, self.letter, window, book.alphabet, book.codes, book.values, lattice.turn
+            )
+            found, _ = placement.rank_placements(votes, self.component, 1)
+            most = np.zeros(int(self.component.max()) + 1, np.int64)
+            np.maximum.at(most, found[:, 0], found[:, 4])
+            best.append(most)
+        wrong_way = (best[1] > best[0]) & (best[1] >= MIRROR_VOTES)
+        dots = (self.component >= 0) & wrong_way[self.component]
+        if not dots.any():
+            return False
+        self.cell[self.at[dots & (self.at >= 0)]] = -1
+        self.at[dots] = -1
+        self.mirrored_dots = dots
+        self.mirrored = True
+        self.weigh_letters()
+        return True
 
     def grow(self, limit: float) -> None:
         """Grow from the claims over the segmented dots, judge, release what is below `limit`, until it is stable."""
@@ -149,6 +187,21 @@ class Interpretation:
                 self.claim, self.belief, limit, self.holder_u, self.holder_v, self.banned_u, self.banned_v
             ):
                 return
+
+    def decoded(self) -> int:
+        """Number of decoded dots."""
+        return int((self.claim >= 0).sum())
+
+    def explained(self) -> float:
+        """Decoded dots per segmented blob."""
+        return self.decoded() / max(1, self.segmented)
+
+    def drop_cut(self) -> None:
+        """Release dots that the border of the image cuts: their centres are those of what is left of them."""
+        cut = np.flatnonzero(self.cut & (self.holder_v[: self.segmented] >= 0))
+        self.claim[self.holder_v[cut], self.holder_u[cut]] = -1
+        self.holder_v[cut] = -1
+        self.holder_u[cut] = -1
 
     def is_complete(self) -> bool:
         """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""

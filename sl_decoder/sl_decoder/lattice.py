@@ -53,6 +53,11 @@ HEXAGONAL = _build(
 )
 
 
+def mirrored(u: np.ndarray, v: np.ndarray, *, hexagonal: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Axial coordinates as seen in a mirror: the projector's u axis reversed."""
+    return (-u, v + u) if hexagonal else (-u, v)
+
+
 def to_axial(row: np.ndarray, col: np.ndarray, *, hexagonal: bool) -> tuple[np.ndarray, np.ndarray]:
     """Axial (u, v) of pattern elements."""
     if not hexagonal:
