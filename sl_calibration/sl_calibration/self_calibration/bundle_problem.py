@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ROUGH = 10.0
-"""How much larger the error of a dot's centre is at creases and edges, where the displacement of its centroid is unknown."""
+"""How much larger the error of a dot's centre is at creases and edges: its centroid's displacement is unknown there."""
 
 LEAST_SMOOTH = 100
 """With fewer dots away from creases and edges than this, all dots count alike."""
@@ -73,8 +73,8 @@ class Problem:
             variance [camera px / projector px^2], see :mod:`centroids`. None: left out.
         smooth: (K,) dots of which the displacement is known; the others count less.
         variance_prior: Mean and standard deviation of that unknown [projector px^2].
-        considered: Standard deviation of that unknown [projector px^2] where it is held at its prior and its uncertainty
-            only passed on; 0: estimated.
+        considered: Standard deviation of that unknown [projector px^2] where it is held at its prior and its
+            uncertainty only passed on; 0: estimated.
     """
 
     observations: Observations

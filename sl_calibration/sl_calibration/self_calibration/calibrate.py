@@ -171,11 +171,11 @@ def _free_camera(camera: CameraModel, refine: bool) -> NDArray[np.bool_]:
 
 
 def _reject(problem: Problem, state: State, *, first: bool = False) -> tuple[Problem, State]:
-    """Drop the observations off by more than four standard deviations of their view, and dots left without any."""
+    """Drop observations off by more than four standard deviations of their view, and dots with less than two left."""
     observations = problem.observations
     in_camera, in_projector = reprojection_errors(problem, state)
     right = right_observations(observations.view, in_camera, len(observations.names), least=2.0 if first else 0.2)
-    # Before the first adjustment the dots come from the cameras alone; later they are drawn towards the projector's rays.
+    """Drop observations off by over four standard deviations of their view, and dots with less than two left."""
     limit = max(5 * float(np.median(in_projector)) / 1.1774, 3.0) if first else 6 * problem.projector_sigma
     observations = observations.select(right & (in_projector < limit)[observations.point])
     # A dot of a single view has nothing but the epipolar line to show that its code is right.
@@ -241,7 +241,10 @@ def _refine(
     problem: Problem, state: State, options: SelfCalibrationOptions
 ) -> tuple[Problem, State, tuple[float, float]]:
     """Alternate least squares, the estimation of all noise from the residuals, and a last check for wrong codes."""
-    problem = replace(problem, huber=np.inf)
+    # Too large figures of the robot's noise come down to the true ones in a few rounds, too small ones grow slowly.
+    noise = problem.noise
+    noise = replace(noise, position=3 * noise.position, rotation=3 * noise.rotation)
+    problem = replace(problem, huber=np.inf, noise=noise)
     inflation = (1.0, 1.0)
     for i in range(_ROUNDS):
         state = adjust(problem, state, iterations=15, tolerance=1e-7).state

@@ -1,7 +1,7 @@
 """The centroid of a dot's image is not the image of its centre.
 
-A decoder measures centroids. Perspective, the curvature of the surface and the light on it shift them by hundredths of a
-pixel; the shift due to light is the same in every view, so it does not average out, and it is what limits the
+A decoder measures centroids. Perspective, the curvature of the surface and the light on it shift them by hundredths of
+a pixel; the shift due to light is the same in every view, so it does not average out, and it is what limits the
 projector's focal length. For a disc of variance s (R^2 / 4 along each axis in the projector image, plus the blur of the
 projector), whose point u appears at x(u) in the camera image with brightness E(u), to second order
 
@@ -41,7 +41,7 @@ def displacements(
     camera: CameraModel,
     projector: CameraModel,
 ) -> tuple[Array, BoolArray]:
-    """Return each observation's displacement over s (M, 2) [camera px / projector px^2], and the dots where it is known.
+    """Return each observation's displacement over s (M, 2) [camera px / projector px^2], and where it is known.
 
     Args:
         observations: M observations of K dots in V views.
@@ -130,7 +130,7 @@ class _Neighbourhood:
         self.spacing = float(np.median(distance)) if len(distance) else 1.0
 
     def _fit(self, values: Array, basis: Array, least: int) -> tuple[Array, Array, BoolArray]:
-        """Fit values (K, n) by a basis (K, 9, B); returns coefficients (K, B, n), largest errors (K,), validity (K,)."""
+        """Fit values (K, n) by a basis (K, 9, B); returns coefficients (K, B, n), largest errors and validity (K,)."""
         near = values[self._near]
         there = (self._near >= 0) & np.isfinite(near).all(-1)
         basis = np.where(there[:, :, None], basis, 0.0)

@@ -69,7 +69,7 @@ def right_observations(
 
 
 def heavy_tails(view: IntArray, error: Array) -> float:
-    """Return the share of errors (M,) [px] between four and ten standard deviations of their view; wrong codes lie beyond."""
+    """Return the share of errors (M,) [px] at four to ten standard deviations of their view; wrong codes lie beyond."""
     ratio = error / robust_scale(view, error, int(view.max()) + 1)[view]
     return float(np.mean((ratio > 4) & (ratio < 10)))
 
