@@ -1,0 +1,120 @@
+"""Command hand_eye: the camera's pose on the flange from poses of the hand and of a target seen by the camera."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from sl_common.calibration_files import HAND_EYE_KEY, PoseCalibration, provenance, save_pose
+from sl_common.transforms import to_quaternion
+
+from sl_calibration.commands.shared import run
+from sl_calibration.hand_eye import HandEye, HandEyeOptions, calibrate_hand_eye
+from sl_calibration.pose_stream import load_poses
+
+EXAMPLE = """example:
+  ros2 run sl_calibration hand_eye --hand hand.csv --eye eye.csv --output calibration/hand_eye.yaml
+Rows of both files: t,x,y,z,qx,qy,qz,qw [s, m], header optional. hand: base_from_hand. eye: camera_from_target, or its
+inverse, which is found out. Single poses with equal stamps, or two streams at any rates: the hand's is interpolated and
+the time offset between them estimated. Turn the hand by 30 deg and more about two axes; 15 poses or more."""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the command's argument parser."""
+    p = argparse.ArgumentParser(
+        prog="hand_eye", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument("--hand", required=True, type=Path, metavar="HAND.csv", help="poses of the hand in the base")
+    p.add_argument("--eye", required=True, type=Path, metavar="EYE.csv", help="poses of the target in the camera")
+    p.add_argument("--output", required=True, type=Path, metavar="FILE.yaml", help="file to write")
+    p.add_argument(
+        "--eye-poses",
+        default="auto",
+        choices=("auto", "camera_from_target", "target_from_camera"),
+        help="what the eye's poses are (default: auto, the one that fits)",
+    )
+    p.add_argument(
+        "--max-offset",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="largest time offset looked for; 0: none (default: 0.5)",
+    )
+    p.add_argument("--reject-outliers", action="store_true", help="leave outliers out instead of stopping at them")
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code."""
+    return run(make_parser(), _run, arguments)
+
+
+def _run(args: argparse.Namespace) -> None:
+    inverted = None if args.eye_poses == "auto" else args.eye_poses == "target_from_camera"
+    options = HandEyeOptions(max_offset=args.max_offset, reject_outliers=args.reject_outliers)
+    result = calibrate_hand_eye(load_poses(args.hand), load_poses(args.eye), options, eye_inverted=inverted)
+    print(summary(result))
+    save_pose(args.output, HAND_EYE_KEY, calibration(result))
+    print(f"wrote {args.output}")
+
+
+def _statistics(position: np.ndarray, rotation: np.ndarray) -> str:
+    return (
+        f"mean {1e3 * position.mean():.2f} mm {np.degrees(rotation.mean()):.3f} deg,"
+        f" RMS {1e3 * _rms(position):.2f} mm {np.degrees(_rms(rotation)):.3f} deg"
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def summary(result: HandEye) -> str:
+    """Return the result in lines for people."""
+    worst = int(np.argmax(result.left_out_position))
+    limit = 1.96 * np.sqrt(np.diag(result.covariance))
+    translation, quaternion = to_quaternion(result.flange_from_camera)
+    lines = [f"{len(result.rows)} poses; distance of the target from its one pose in the base:"]
+    for name, (position, rotation) in result.closed_forms.items():
+        lines.append(f"  {name + ':':12s}mean {1e3 * position:.2f} mm {np.degrees(rotation):.3f} deg")
+    lines += [
+        f"  training:   {_statistics(result.position_error, result.rotation_error)}",
+        f"  left out:   {_statistics(result.left_out_position, result.left_out_rotation)}",
+        f"worst sample left out: line {result.rows[worst]} of the eye's file,"
+        f" {1e3 * result.left_out_position[worst]:.2f} mm {np.degrees(result.left_out_rotation[worst]):.2f} deg",
+    ]
+    if len(result.rejected_rows):
+        lines.append(f"rejected as outliers: lines {', '.join(str(row) for row in result.rejected_rows)}")
+    if result.eye_inverted:
+        lines.append("the eye's poses are those of the camera in the target (target_from_camera)")
+    if result.offset_estimated:
+        lines.append(f"time offset: an eye pose stamped t belongs to the hand at t {1e3 * result.time_offset:+.1f} ms")
+    lines += [
+        "flange_from_camera: position "
+        + ", ".join(f"{1e3 * x:.2f} +- {1e3 * s:.2f}" for x, s in zip(translation, limit[:3], strict=True))
+        + " mm; quaternion xyzw "
+        + ", ".join(f"{q:.5f}" for q in quaternion)
+        + "; rotation +- "
+        + ", ".join(f"{np.degrees(s):.3f}" for s in limit[3:])
+        + " deg (95 %)",
+    ]
+    return "\n".join(lines)
+
+
+def calibration(result: HandEye) -> PoseCalibration:
+    """Return what hand_eye.yaml holds."""
+    residuals = {
+        "training_mean_mm": float(1e3 * result.position_error.mean()),
+        "training_mean_deg": float(np.degrees(result.rotation_error.mean())),
+        "left_out_mean_mm": float(1e3 * result.left_out_position.mean()),
+        "left_out_mean_deg": float(np.degrees(result.left_out_rotation.mean())),
+        "left_out_rms_mm": 1e3 * _rms(result.left_out_position),
+        "left_out_rms_deg": float(np.degrees(_rms(result.left_out_rotation))),
+    }
+    extra = provenance(samples=len(result.rows), residuals=residuals) | {"time_offset_s": result.time_offset}
+    return PoseCalibration(result.flange_from_camera, result.covariance, extra)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
