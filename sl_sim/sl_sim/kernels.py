@@ -20,6 +20,7 @@ def shade_points(
     face_body: np.ndarray,
     gloss: np.ndarray,
     light_from_base: np.ndarray,
+    light_position: np.ndarray,
     light_k: np.ndarray,
     light_size: np.ndarray,
     light_distorted: bool,
@@ -37,20 +38,15 @@ def shade_points(
 ) -> None:
     """Surface, projector coordinates and light transport of first hits; shadows are not known here.
 
-    In: origin (3,), directions (n, 3), hits (n,), the scene's arrays, light_from_base (4, 4), light_k (fx fy cx cy),
-    light_size (width height), light_distorted: uv is given in ideal normalised coordinates instead of pixels,
+    In: origin (3,), directions (n, 3), hits (n,), the scene's arrays, light_from_base (4, 4), light_position (3,),
+    light_k (fx fy cx cy), light_size (width height), light_distorted: uv is given in ideal normalised coordinates instead of pixels,
     vignetting: the projector's loss at the panel's corner, ambient: strength, up (3,).
     Out: points (n, 3), normals (n, 3), uv (n, 2), gain (n, 3): radiance per unit of projector light (pi folded in),
     sky (n, 3): radiance by ambient light, albedo (n, 3), body (n,) int32, flags (n,): HIT, and LIT where the
     projector may reach the point.
     """
     fx, fy, cx, cy = light_k[0], light_k[1], light_k[2], light_k[3]
-    lx = -(light_from_base[0, 0] * light_from_base[0, 3] + light_from_base[1, 0] * light_from_base[1, 3]
-           + light_from_base[2, 0] * light_from_base[2, 3])  # fmt: skip
-    ly = -(light_from_base[0, 1] * light_from_base[0, 3] + light_from_base[1, 1] * light_from_base[1, 3]
-           + light_from_base[2, 1] * light_from_base[2, 3])  # fmt: skip
-    lz = -(light_from_base[0, 2] * light_from_base[0, 3] + light_from_base[1, 2] * light_from_base[1, 3]
-           + light_from_base[2, 2] * light_from_base[2, 3])  # fmt: skip
+    lx, ly, lz = light_position[0], light_position[1], light_position[2]
     reach2 = (max(cx, light_size[0] - cx) / fx) ** 2 + (max(cy, light_size[1] - cy) / fy) ** 2
     for i in range(directions.shape[0]):
         flags[i] = 0

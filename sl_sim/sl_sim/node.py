@@ -44,10 +44,7 @@ class CellNode(Node):
         self._order = [p.joints.index(name) for name in names]
         self._worker = CameraWorker(p.settings, p.effects, self_shadow=p.self_shadow)
         self._cell = cell = Cell(p.settings)
-        self._driver = ArmDriver(
-            cell.limits, cell.start_positions, period=1.0 / p.control_rate, buffer=p.command_buffer,
-            timeout=p.stream_timeout, jump=p.first_setpoint_jump, bandwidth=p.servo_bandwidth,
-        )  # fmt: skip
+        self._driver = ArmDriver(cell.limits, cell.start_positions, **p.driver_options)
         self._encoder = np.random.default_rng([p.settings.seed, 3])
         self._projected: np.ndarray | None = None
         self._moves_since: int | None = None

@@ -177,8 +177,8 @@ class Renderer:
         distorted = model.distortion_model != "none"
         kernels.shade_points(
             origin, directions, hits.distance, hits.face, hits.u, hits.v, caster.faces, caster.normals, caster.albedo,
-            caster.face_body, caster.gloss, transforms.inverse(self.light.base_from_projector), k,
-            np.array([float(model.width), float(model.height)]), distorted, self.options.projector_vignetting,
+            caster.face_body, caster.gloss, transforms.inverse(self.light.base_from_projector),
+            self.light.base_from_projector[:3, 3].copy(), k, np.array([float(model.width), float(model.height)]), distorted, self.options.projector_vignetting,
             self.options.ambient, np.array([0.0, 0.0, 1.0]), out.points, out.normals, out.uv, out.gain, out.sky,
             out.albedo, out.body, out.flags,
         )  # fmt: skip

@@ -279,3 +279,28 @@ def test_a_bad_parameter_is_one_clear_line_and_exit_code_1(argument, words):
     assert len(lines) == 1
     assert words in lines[0]
     assert "Traceback" not in done.stderr
+
+
+def children(pid):
+    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
+    return [int(line) for line in listed.stdout.split()]
+
+
+def test_a_killed_node_leaves_no_process_behind(tmp_path):
+    with (tmp_path / "log").open("w") as log:
+        process, peer = start(["-p", "scene:=plane", "-r", "joint_states:=third"], log), Peer()
+        try:
+            seen = []
+            peer.node.create_subscription(JointState, "third", seen.append, QoSProfile(depth=10))
+            peer.spin_until(lambda: seen)
+            begun = children(process.pid)
+        finally:
+            peer.close()
+            process.kill()
+            process.wait()
+    assert begun
+    end = time.monotonic() + 20
+    alive = lambda: [pid for pid in begun if os.path.exists(f"/proc/{pid}")]  # noqa: E731
+    while alive():
+        assert time.monotonic() < end, f"still running: {alive()}"
+        time.sleep(0.1)

@@ -30,6 +30,17 @@ class CellParameters:
     self_shadow: bool
     object_moves: bool
 
+    @property
+    def driver_options(self) -> dict[str, float]:
+        """Keyword arguments of the ArmDriver."""
+        return {
+            "period": 1.0 / self.control_rate,
+            "buffer": self.command_buffer,
+            "timeout": self.stream_timeout,
+            "jump": self.first_setpoint_jump,
+            "bandwidth": self.servo_bandwidth,
+        }
+
 
 def declare_all(node: Node, joints: list[str]) -> CellParameters:
     """Declare every parameter on the node and return the values. Raises InvalidInputError for a bad one."""
