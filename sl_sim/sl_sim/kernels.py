@@ -39,8 +39,8 @@ def shade_points(
     """Surface, projector coordinates and light transport of first hits; shadows are not known here.
 
     In: origin (3,), directions (n, 3), hits (n,), the scene's arrays, light_from_base (4, 4), light_position (3,),
-    light_k (fx fy cx cy), light_size (width height), light_distorted: uv is given in ideal normalised coordinates instead of pixels,
-    vignetting: the projector's loss at the panel's corner, ambient: strength, up (3,).
+    light_k (fx fy cx cy), light_size (width height), light_distorted: uv is given in ideal normalised coordinates
+    instead of pixels, vignetting: the projector's loss at the panel's corner, ambient: strength, up (3,).
     Out: points (n, 3), normals (n, 3), uv (n, 2), gain (n, 3): radiance per unit of projector light (pi folded in),
     sky (n, 3): radiance by ambient light, albedo (n, 3), body (n,) int32, flags (n,): HIT, and LIT where the
     projector may reach the point.
@@ -167,7 +167,7 @@ def uneven_cells(
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _look_up(light: np.ndarray, scale: float, u: float, v: float) -> tuple[float, float, float]:
+def _look_up(light: np.ndarray, scale: float, u: float, v: float) -> tuple[np.floating, np.floating, np.floating]:
     """Bilinear light (h, w, 3) at projector pixel (u, v) of the unscaled panel; nothing outside."""
     h, w = light.shape[0], light.shape[1]
     x = (u + 0.5) * scale - 0.5

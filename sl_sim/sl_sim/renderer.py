@@ -173,12 +173,13 @@ class Renderer:
         directions = (rays @ base_from_camera[:3, :3].T.astype(rays.dtype)).astype(np.float32, copy=False)
         hits = self.caster.first_hits(origin, directions)
         model, caster = self.light.model, self.caster
+        source = np.ascontiguousarray(self.light.base_from_projector[:3, 3])
         k = np.array([model.matrix[0, 0], model.matrix[1, 1], model.matrix[0, 2], model.matrix[1, 2]])
         distorted = model.distortion_model != "none"
         kernels.shade_points(
             origin, directions, hits.distance, hits.face, hits.u, hits.v, caster.faces, caster.normals, caster.albedo,
-            caster.face_body, caster.gloss, transforms.inverse(self.light.base_from_projector),
-            self.light.base_from_projector[:3, 3].copy(), k, np.array([float(model.width), float(model.height)]), distorted, self.options.projector_vignetting,
+            caster.face_body, caster.gloss, transforms.inverse(self.light.base_from_projector), source, k,
+            np.array([float(model.width), float(model.height)]), distorted, self.options.projector_vignetting,
             self.options.ambient, np.array([0.0, 0.0, 1.0]), out.points, out.normals, out.uv, out.gain, out.sky,
             out.albedo, out.body, out.flags,
         )  # fmt: skip
@@ -186,7 +187,6 @@ class Renderer:
             out.uv[:] = model.to_pixels(model.distort(out.uv.astype(np.float64)))
         out.sky *= np.asarray(self.options.ambient_colour, np.float32)
         lit = np.flatnonzero(out.flags & kernels.LIT)
-        source = self.light.base_from_projector[:3, 3]
         dark = self.caster.occluded(source, out.points[lit])
         if len(occluders.radii):
             blocked = np.zeros(len(directions), np.bool_)
