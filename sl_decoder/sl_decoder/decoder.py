@@ -83,7 +83,11 @@ class Decoder:
 
     def _interpret_with(self, bgr: NDArray[np.uint8], kernel: int) -> Interpretation:
         segments = segmentation.segment(bgr, kernel)
-        reading = Interpretation(self.codebook, self.alphabet, centres.measure(segments))
+        return self.read(centres.measure(segments), segments.smooth)
+
+    def read(self, dots: centres.Dots, smooth: NDArray[np.uint8] | None = None) -> Interpretation:
+        """Interpretation of measured dots; smooth (H, W, 3): the image, to recover dots that were not segmented."""
+        reading = Interpretation(self.codebook, self.alphabet, dots)
         if reading.n < len(self.codebook.lattice.window):
             return reading
         reading.build_graph()
@@ -91,6 +95,9 @@ class Decoder:
         trials = np.log(len(self.codebook.codes) * float(reading.n))
         evidence = trials - np.log(self.options.max_false_alarms)
         placed = reading.place(evidence)
+        if not placed:
+            reading.correct_letters()
+            placed = reading.place(evidence)
         if not reading.is_complete() and reading.refuse_mirrored():
             placed = reading.place(evidence)
         if placed:
@@ -99,7 +106,8 @@ class Decoder:
                 reading.refit()
                 reading.place(evidence)
                 reading.grow(self.limit)
-            reading.recover(segments.smooth, self.limit)
+            if smooth is not None:
+                reading.recover(smooth, self.limit)
             reading.drop_cut()
         return reading
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_decoder import graph, growth, judgement, letters, placement, recovery
+from sl_decoder import graph, growth, judgement, letters, placement, recovery, voting
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
 from sl_decoder.lattice import mirrored
@@ -110,6 +110,14 @@ class Interpretation:
         )
         if self.mirrored:
             self.evidence[:n][self.mirrored_dots] = NOT_OURS
+
+    def correct_letters(self) -> None:
+        """Replace the letters that were read by those that the paper's voting elects."""
+        book = self.book
+        score = voting.vote(
+            self.cell, self.at, self.width, self.letter, book.lattice.window, book.alphabet, book.codes
+        )
+        self.letter[: self.n] = voting.elect(score, self.letter[: self.n])
 
     def place(self, first_evidence: float) -> int:
         """Windows vote, placements are verified and claim their elements; returns how many were accepted."""

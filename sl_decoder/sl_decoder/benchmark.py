@@ -1,0 +1,165 @@
+"""Rows for the performance table: name, value, unit, limit (None: none is set)."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pattern_gen import Pattern, default_pattern
+
+from sl_decoder.decoder import Decoder
+from sl_decoder.synthetic import synthetic_dots, view
+from sl_decoder.tracking import Tracker
+
+
+class Row(NamedTuple):
+    """One line of the table; limit is the most that value may be."""
+
+    name: str
+    value: float
+    unit: str
+    limit: float | None = None
+
+
+def camera_image(pattern: Pattern, width: int, height: int, *, shift: float = 0.0, seed: int = 0) -> NDArray[np.uint8]:
+    """A synthetic camera image (H, W, 3) uint8 BGR of the whole pattern: rolled view, blur, ambient light, noise."""
+    scale = width / 640.0
+    affine = view(pattern, angle=0.1, scale=0.56, seed=1) * scale
+    affine[:, 2] += np.array([shift, 0.5 * shift])
+    image = cv2.warpAffine(pattern.render()[:, :, ::-1], affine, (width, height), flags=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.6 * scale).astype(np.float32) * 1.2 + 22.0
+    noise = np.random.default_rng(seed).normal(0.0, 2.5, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8)
+
+
+def _median(function: Callable[[], object], repeats: int) -> float:
+    function()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def floor_time(image: NDArray[np.uint8], repeats: int = 30) -> float:
+    """Milliseconds of channel maximum, threshold and connected components: what any decoder pays at least."""
+
+    def floor() -> None:
+        blue, green, red = cv2.split(image)
+        value = cv2.max(cv2.max(blue, green), red)
+        _, binary = cv2.threshold(value, 60, 255, cv2.THRESH_BINARY)
+        cv2.connectedComponentsWithStats(binary)
+
+    return _median(floor, repeats)
+
+
+def blob_detector_time(image: NDArray[np.uint8], repeats: int = 5) -> tuple[float, float]:
+    """Milliseconds of cv2.SimpleBlobDetector with its default parameters, and with parameters that find the dots."""
+    usual = cv2.SimpleBlobDetector.create()
+    parameters = cv2.SimpleBlobDetector.Params()
+    parameters.blobColor = 255
+    parameters.minThreshold = 10
+    parameters.minArea = 4
+    parameters.filterByCircularity = parameters.filterByConvexity = parameters.filterByInertia = False
+    parameters.minDistBetweenBlobs = 3
+    fitting = cv2.SimpleBlobDetector.create(parameters)
+    return _median(lambda: usual.detect(image), repeats), _median(lambda: fitting.detect(image), repeats)
+
+
+def tracking_time(tracker: Tracker, images: list[NDArray[np.uint8]], repeats: int = 60) -> tuple[float, float]:
+    """Median milliseconds of the tracked images of a moving view, and the share of images that were tracked."""
+    times, tracked = [], 0
+    for k in range(repeats):
+        phase = k % (2 * len(images) - 2)
+        image = images[phase if phase < len(images) else 2 * len(images) - 2 - phase]
+        start = time.perf_counter()
+        decoded = tracker.track(image, 1 + k * 33_000_000)
+        elapsed = 1e3 * (time.perf_counter() - start)
+        if decoded.tracked:
+            tracked += 1
+            times.append(elapsed)
+    return float(np.median(times)) if times else float("nan"), tracked / repeats
+
+
+def timing_rows(repeats: int = 30) -> list[Row]:
+    """Decoding times on one thread, whole pattern in view."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        pattern = default_pattern()
+        decoder = Decoder(pattern)
+        rows: list[Row] = []
+        for name, width, height, limit in (("VGA", 640, 480, 5.0), ("1280x960", 1280, 960, 12.0)):
+            image = camera_image(pattern, width, height)
+            found = len(decoder.decode(image))
+            decode = _median(lambda image=image: decoder.decode(image), repeats)  # type: ignore[misc]
+            rows.append(Row(f"decode {name}, {found} dots", decode, "ms", limit))
+            moving = [camera_image(pattern, width, height, shift=1.5 * k, seed=k) for k in range(8)]
+            track, share = tracking_time(Tracker(decoder), moving, 2 * repeats)
+            rows.append(Row(f"track {name}, {100 * share:.0f} % of the images", track, "ms", limit / 2))
+            rows.append(Row(f"floor {name}: maximum, threshold, components", floor_time(image), "ms"))
+            if name == "VGA":
+                usual, fitting = blob_detector_time(image)
+                rows.append(Row("decode VGA over SimpleBlobDetector (set to find the dots)", decode / fitting, "", 0.3))
+                rows.append(Row("decode VGA over SimpleBlobDetector (its defaults, finds nothing)", decode / usual, ""))
+        return rows
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def robustness(pattern: Pattern, *, flipped: float = 0.0, missing: float = 0.0, runs: int = 10) -> tuple[float, float, float]:
+    """Shares of the dots present that come out right, wrong and undecoded, over `runs` random views."""
+    decoder = Decoder(pattern)
+    right = wrong = present = 0
+    for seed in range(runs):
+        dots, index = synthetic_dots(pattern, flipped=flipped, missing=missing, angle=2 * np.pi * seed / runs, seed=seed)
+        reading = decoder.read(dots)
+        decoded = decoder.report(reading, 0.0)
+        map_v, map_u = decoder.elements(decoded.row, decoded.col)
+        good = index[reading.claim[map_v, map_u]] == decoded.row * pattern.cols + decoded.col
+        right += int(good.sum())
+        wrong += int((~good).sum())
+        present += len(dots)
+    return right / present, wrong / present, (present - right - wrong) / present
+
+
+def robustness_rows(runs: int = 10) -> list[Row]:
+    """Wrong letters and missing dots on the shipped map."""
+    pattern = default_pattern()
+    rows = []
+    for name, values in (("flipped", (0.01, 0.02, 0.05, 0.10)), ("missing", (0.05, 0.10, 0.20))):
+        for value in values:
+            right, wrong, undecoded = robustness(pattern, runs=runs, **{name: value})
+            what = f"{100 * value:.0f} % of {'letters flipped' if name == 'flipped' else 'dots missing'}"
+            limit = 0.1 if (name, value) == ("flipped", 0.05) else None
+            rows.append(Row(f"{what}: right", 100 * right, "%"))
+            rows.append(Row(f"{what}: wrong", 100 * wrong, "%", limit))
+            rows.append(Row(f"{what}: undecoded", 100 * undecoded, "%"))
+    return rows
+
+
+def memory_row() -> Row:
+    """Peak resident memory of this process."""
+    return Row("peak resident memory of this process", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "MB")
+
+
+def rows() -> list[Row]:
+    """All rows."""
+    return [*timing_rows(), *robustness_rows(), memory_row()]
+
+
+def main() -> None:
+    """Print the table."""
+    for row in rows():
+        limit = "" if row.limit is None else f"<= {row.limit:g}"
+        print(f"{row.name:70s} {row.value:9.3f} {row.unit:3s} {limit}")
+
+
+if __name__ == "__main__":
+    main()
