@@ -5,9 +5,9 @@ from importlib.resources import files
 
 import numpy as np
 import yaml
-from sl_common.kinematics import Kinematics
 
 from sl_common import transforms
+from sl_common.kinematics import Kinematics
 from sl_sim.light import Occluders
 
 BASE_FRAME, FLANGE = "base_link", "tool0"

@@ -13,7 +13,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from sl_common.errors import StructuredLightError
-
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.effects import Effects
 from sl_sim.exposures import Exposure, Taken

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 
 import numpy as np
+
+from sl_common import transforms
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError, ModelError
 from sl_common.kinematics import Kinematics
-
-from sl_common import transforms
 from sl_sim import arm, scenes
 from sl_sim.light import LightSource, aimed_projector
 from sl_sim.raycast import RayCaster

@@ -3,8 +3,8 @@
 from collections import deque
 
 import numpy as np
-from sl_common.errors import InvalidInputError
 
+from sl_common.errors import InvalidInputError
 from sl_sim.driver import ArmDriver
 
 _NS = 1_000_000_000

@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from sl_common.cameras import CameraModel
-from sl_common.errors import StructuredLightError
 
 from pattern_gen import Pattern
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_common.errors import StructuredLightError
 from sl_sim import scenes, sensor
 from sl_sim.effects import EFFECTS, Effects
 from sl_sim.exposure_integral import exposed_radiance

@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+
 from sl_common.errors import StructuredLightError
 from sl_common.files import atomic_path, write_text
 

@@ -10,8 +10,8 @@ from collections import deque
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from sl_common.errors import InvalidInputError
 
+from sl_common.errors import InvalidInputError
 from sl_sim.arm import JointLimits, Servo
 from sl_sim.violations import ViolationCounter
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from sl_common.cameras import CameraModel
 
+from sl_common.cameras import CameraModel
 from sl_sim.raycast import RayCaster
 
 CELLS = (24, 18)

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from sl_common.cameras import CameraModel
 
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 
 
 @dataclass(frozen=True)

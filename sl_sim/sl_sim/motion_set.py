@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sl_common.errors import ModelError
 
 from pattern_gen import Pattern
 from sl_common import transforms
+from sl_common.errors import ModelError
 from sl_sim import sensor
 from sl_sim.arm import ArmBody
 from sl_sim.cell import Cell, inverse_kinematics

@@ -8,15 +8,15 @@ from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from sl_common.errors import StructuredLightError
-from sl_common.ros import camera_info, diagnostics, images, qos, stamps
-from sl_common.ros.run import run_node
-from sl_common.ros.waiting import InputWatch
 from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from sl_common import transforms
+from sl_common.errors import StructuredLightError
+from sl_common.ros import camera_info, diagnostics, images, qos, stamps
+from sl_common.ros.run import run_node
+from sl_common.ros.waiting import InputWatch
 from sl_sim import arm, scenes
 from sl_sim.camera_worker import CameraWorker
 from sl_sim.cell import Cell

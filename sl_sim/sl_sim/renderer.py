@@ -9,9 +9,9 @@ neither camera, projector nor scene has moved, all of this is kept and only the 
 from dataclasses import dataclass
 
 import numpy as np
-from sl_common.cameras import CameraModel
 
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 from sl_sim import interreflection, kernels
 from sl_sim.light import LightSource, Occluders
 from sl_sim.projector import LIGHT_SCALE

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from sl_common.errors import StructuredLightError
 
 from sl_common import transforms
+from sl_common.errors import StructuredLightError
 from sl_sim import isosurface, meshes
 from sl_sim.meshes import Mesh
 from sl_sim.raycast import Body

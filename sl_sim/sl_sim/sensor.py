@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from sl_common.cameras import CameraModel
 
+from sl_common.cameras import CameraModel
 from sl_sim.projector import linear_to_srgb
 
 _BAYER_TO_BGR = {  # OpenCV names a mosaic by its second row, from the second column on

@@ -9,9 +9,9 @@ the spot appears, how far its centroid lies from its centre, and whether an edge
 from dataclasses import dataclass
 
 import numpy as np
-from sl_common.cameras import CameraModel
 
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 from sl_sim.raycast import RayCaster
 
 RINGS = ((0.0, 1), (0.25, 6), (0.5, 12), (0.75, 18), (0.95, 24))

@@ -4,9 +4,9 @@ import sys
 import time
 
 import numpy as np
-from sl_common.cameras import CameraModel
 
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 from sl_sim import meshes
 from sl_sim.light import LightSource, Occluders
 from sl_sim.projector import ProjectorOptions, light_image

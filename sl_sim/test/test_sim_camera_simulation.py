@@ -2,13 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from pattern_gen import default_pattern
 from sl_sim.camera_simulation import CameraSimulation
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.effects import EFFECTS
 from sl_sim.errors import CellError
 from sl_sim.exposures import Exposure
-
-from pattern_gen import default_pattern
 
 SMALL = CellSettings(scene="sphere", camera_width=320, camera_height=240, focal_length=410.0)
 QUICK = replace(EFFECTS["lab"], render=replace(EFFECTS["lab"].render, interreflection=False, lattice=2))

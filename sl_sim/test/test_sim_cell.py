@@ -2,14 +2,14 @@ import json
 
 import numpy as np
 import pytest
-from sl_common.errors import InvalidInputError, ModelError
-from sl_sim.cell import Cell, CellSettings, inverse_kinematics
-from sl_sim.scenes import NAMES, UnknownSceneError
-from sl_sim.spot_truth import count_visible
 
 from pattern_gen import default_pattern
 from sl_common import transforms
+from sl_common.errors import InvalidInputError, ModelError
 from sl_sim import arm
+from sl_sim.cell import Cell, CellSettings, inverse_kinematics
+from sl_sim.scenes import NAMES, UnknownSceneError
+from sl_sim.spot_truth import count_visible
 
 PLANE = Cell(CellSettings(scene="plane"))
 

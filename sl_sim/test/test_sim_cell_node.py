@@ -17,14 +17,14 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from sl_common.joint_buffer import JointBuffer
-from sl_common.ros import images, qos, stamps
 from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from pattern_gen import default_pattern
 from sl_common import transforms
+from sl_common.joint_buffer import JointBuffer
+from sl_common.ros import images, qos, stamps
 from sl_sim import arm
 
 DOMAIN = 55

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+
 from sl_common.errors import InvalidInputError
+from sl_sim import arm
 from sl_sim.clockwork import Clockwork
 from sl_sim.driver import ArmDriver
-
-from sl_sim import arm
 
 MS = 1_000_000
 START = np.zeros(6)

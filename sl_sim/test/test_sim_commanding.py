@@ -2,6 +2,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from sl_common.errors import InvalidInputError
 from sl_sim.ros.commanding import trajectory_setpoints
 

@@ -3,12 +3,12 @@ import json
 import cv2
 import numpy as np
 import pytest
-from sl_common.cameras import CameraModel
-from sl_sim.commands import render_dataset, render_motion
-from sl_sim.dataset import render_shot
 
 from pattern_gen import Pattern, default_pattern
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_sim.commands import render_dataset, render_motion
+from sl_sim.dataset import render_shot
 
 ARRAYS = {"symbols", "centers", "xyz", "normal", "xy", "visible", "edge", "partial", "axes_px", "shift", "cos_proj",
           "cos_cam", "signal", "snr"}  # fmt: skip

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+
 from sl_common.errors import InvalidInputError
+from sl_sim import arm
 from sl_sim.arm import Servo
 from sl_sim.driver import ArmDriver
-
-from sl_sim import arm
 
 LIMITS = arm.limits()
 START = np.array([0.1, -1.5, 1.5, 0.0, 0.3, -0.2])

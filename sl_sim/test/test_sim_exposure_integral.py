@@ -2,7 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from sl_common import transforms
 from sl_common.cameras import CameraModel
+from sl_sim import meshes
 from sl_sim.effects import EFFECTS
 from sl_sim.exposure_integral import exposed_radiance, lens_points
 from sl_sim.light import LightSource, aimed_projector
@@ -10,9 +13,6 @@ from sl_sim.projector import light_image
 from sl_sim.raycast import Body, RayCaster
 from sl_sim.render_options import RenderOptions
 from sl_sim.renderer import Renderer
-
-from sl_common import transforms
-from sl_sim import meshes
 
 CAMERA = CameraModel(160, 120, np.array([[410.0, 0, 81.0], [0, 410.0, 59.0], [0, 0, 1.0]]))
 PROJECTOR = CameraModel(256, 192, np.array([[470.0, 0, 127.5], [0, 470.0, 190.0], [0, 0, 1.0]]))

@@ -1,9 +1,9 @@
 import numpy as np
+
 from sl_common.cameras import CameraModel
+from sl_sim import interreflection, meshes
 from sl_sim.light import aimed_projector
 from sl_sim.raycast import Body, RayCaster
-
-from sl_sim import interreflection, meshes
 
 PROJECTOR = CameraModel(256, 192, np.array([[470.0, 0, 127.5], [0, 470.0, 95.5], [0, 0, 1.0]]))
 

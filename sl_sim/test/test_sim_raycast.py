@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sl_sim.raycast import Body, RayCaster
 
 from sl_common import transforms
 from sl_sim import meshes
+from sl_sim.raycast import Body, RayCaster
 
 RADIUS = 0.3
 SPHERE = RayCaster([Body(meshes.sphere(RADIUS), np.eye(4))])

@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+
+from sl_common import transforms
 from sl_common.cameras import CameraModel
+from sl_sim import kernels, meshes
 from sl_sim.light import LightSource, Occluders, aimed_projector
 from sl_sim.projector import ProjectorOptions, light_image
 from sl_sim.raycast import Body, RayCaster
 from sl_sim.render_options import RenderOptions
 from sl_sim.renderer import Renderer
 from sl_sim.spot_truth import spot_truth
-
-from sl_common import transforms
-from sl_sim import kernels, meshes
 
 REACH = 3.7
 UP = np.array([0.0, 1.0, 0.0])

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+
 from sl_common.cameras import CameraModel
+from sl_sim import sensor
 from sl_sim.projector import LIGHT_SCALE, ProjectorOptions, channel_light, light_image, linear_to_srgb, srgb_to_linear
 from sl_sim.sensor import SensorOptions
-
-from sl_sim import sensor
 
 IDENTITY = tuple(np.eye(3))
 PLAIN = {"crosstalk": IDENTITY, "gamma": 1.0, "blur": 0.0, "bayer": ""}

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
+
+from sl_common import transforms
 from sl_common.cameras import CameraModel
+from sl_sim import meshes
 from sl_sim.light import aimed_projector
 from sl_sim.raycast import Body, RayCaster
 from sl_sim.spot_truth import count_visible, light_up, seen, spot_truth
-
-from sl_common import transforms
-from sl_sim import meshes
 
 UP = np.array([0.0, 1.0, 0.0])
 CAMERA = CameraModel(640, 480, np.array([[820.0, 0, 322.0], [0, 820.0, 238.0], [0, 0, 1.0]]))

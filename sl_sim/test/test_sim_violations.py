@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
-from sl_sim.violations import KINDS, ViolationCounter
 
 from sl_sim import arm
+from sl_sim.violations import KINDS, ViolationCounter
 
 LIMITS = arm.limits()
 T = 0.008

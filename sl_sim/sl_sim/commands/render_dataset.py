@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from sl_common.errors import StructuredLightError
 from tqdm import tqdm
 
 from pattern_gen import Pattern, default_pattern
+from sl_common.errors import StructuredLightError
 from sl_sim import scenes
 from sl_sim.dataset import CAMERAS, render_shot
 from sl_sim.dataset_files import refuse_used, write_image, write_truth

@@ -4,10 +4,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from sl_common.errors import StructuredLightError
 from tqdm import tqdm
 
 from pattern_gen import Pattern, default_pattern
+from sl_common.errors import StructuredLightError
 from sl_sim import scenes
 from sl_sim.cell import Cell, CellSettings
 from sl_sim.dataset_files import refuse_used, write_image, write_json, write_truth

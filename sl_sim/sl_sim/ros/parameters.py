@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 from rclpy.node import Node
-from sl_common.ros.parameters import declare
 
+from sl_common.ros.parameters import declare
 from sl_sim import scenes
 from sl_sim.cell import CellSettings
 from sl_sim.effects import EFFECTS, Effects
