@@ -70,6 +70,15 @@ def growth_sizes(window: int, aspect: float, limit: int) -> list[tuple[int, int]
     return sizes
 
 
+def growth_to(window: int, rows: int, cols: int) -> list[tuple[int, int]]:
+    """Sizes of a map that grows to rows x cols, along its own aspect ratio."""
+    sizes = [size for size in growth_sizes(window, cols / rows, rows * cols) if size[0] <= rows and size[1] <= cols]
+    while sizes[-1] != (rows, cols):
+        last_rows, last_cols = sizes[-1]
+        sizes.append((last_rows, last_cols + 1) if last_cols < cols else (last_rows + 1, last_cols))
+    return sizes
+
+
 def growth_order(geometry: WindowGeometry, sizes: list[tuple[int, int]]) -> FillOrder:
     """The paper's order: the first window row by row, then whole columns (downwards) and whole rows (rightwards)."""
     rows, cols = sizes[-1]

@@ -13,7 +13,6 @@ be brought to one position of its class (corner, edge, centre), so each class ha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np

@@ -16,8 +16,6 @@ from sl_common.ros.diagnostics import OK, Diagnostics
 from sl_common.ros.parameters import declare
 from sl_common.ros.run import run_node
 from sl_common.ros.stamps import to_ns
-from sl_msgs.msg import Pattern as PatternMessage
-from sl_msgs.srv import SetProjection
 from std_msgs.msg import Header
 
 from pattern_gen.colours_file import with_calibrated_colours
@@ -26,6 +24,8 @@ from pattern_gen.gray_code import Arrangement, Axis
 from pattern_gen.pattern import Pattern, default_pattern
 from pattern_gen.projection import FrameRequest, Mode, SpotLimits, adapted_diameter, render_frame
 from pattern_gen.ros_conversions import pattern_to_message
+from sl_msgs.msg import Pattern as PatternMessage
+from sl_msgs.srv import SetProjection
 
 NOMINAL_THROW = 1.5  # distance over image width of an ordinary projector: its focal length over the width in px
 

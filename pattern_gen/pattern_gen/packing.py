@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pattern_gen.errors import SearchError
 
-FIELD_BITS = (1, 2, 4, 3, 5, 6)
 FOLDS = {1: (0, 0, 0), 2: (1, 0, 0), 3: (1, 1, 0), 4: (1, 2, 0), 5: (1, 2, 1), 6: (1, 2, 2)}
 
 

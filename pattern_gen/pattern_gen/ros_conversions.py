@@ -5,12 +5,12 @@ from __future__ import annotations
 import array
 
 import numpy as np
-from sl_msgs.msg import Letter as LetterMessage
-from sl_msgs.msg import Pattern as PatternMessage
 from std_msgs.msg import Header
 
 from pattern_gen.errors import PatternError
 from pattern_gen.pattern import HEXAGONAL_COLUMN_PITCH, Grid, Letter, Pattern
+from sl_msgs.msg import Letter as LetterMessage
+from sl_msgs.msg import Pattern as PatternMessage
 
 _GRIDS = {Grid.SQUARE: PatternMessage.SQUARE, Grid.HEXAGONAL: PatternMessage.HEXAGONAL}
 _CENTER_TOLERANCE = 0.01  # [px]; centres travel as float32

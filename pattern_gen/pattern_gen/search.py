@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pattern_gen import depth_first, unique_codes
 from pattern_gen.errors import SearchError
-from pattern_gen.fill_order import HEXAGONAL_ASPECT, FillOrder, growth_order, growth_sizes, raster_order
+from pattern_gen.fill_order import HEXAGONAL_ASPECT, FillOrder, growth_order, growth_sizes, growth_to
 from pattern_gen.generation import Clock, Found, Progress, Report, Request
 from pattern_gen.pattern import Grid
 from pattern_gen.windows import window_geometry
@@ -70,18 +71,12 @@ def most_windows(request: Request) -> int:
     """Upper bound of the number of windows: Hamming and Singleton bound over the number of orientations."""
     cells = window_geometry(request.grid, request.window).size
     a, h = request.alphabet, request.h
-    ball = sum(_choose(cells, i) * (a - 1) ** i for i in range((h - 1) // 2 + 1))
+    ball = sum(comb(cells, i) * (a - 1) ** i for i in range((h - 1) // 2 + 1))
     codes = min(a**cells // ball, a ** (cells - h + 1))
     if request.orientations == 1:
         return codes
     # a window that equals its own rotation has fewer orientations
     return codes if request.own == 0 else codes // request.orientations
-
-
-def _choose(n: int, k: int) -> int:
-    from math import comb
-
-    return comb(n, k)
 
 
 def search_map(
@@ -134,14 +129,7 @@ def _paper(
     """Section II.B as written: lowest letter first, chronological back-tracking, growth by columns and rows."""
     geometry = window_geometry(request.grid, request.window)
     if rows is not None and cols is not None:
-        sizes = [
-            size
-            for size in growth_sizes(request.window, cols / rows, rows * cols)
-            if size[0] <= rows and size[1] <= cols
-        ]
-        while sizes[-1] != (rows, cols):
-            last_rows, last_cols = sizes[-1]
-            sizes.append((last_rows, last_cols + 1) if last_cols < cols else (last_rows + 1, last_cols))
+        sizes = growth_to(request.window, rows, cols)
     else:
         limit = 1_500_000 if request.h == 1 and request.band is None else 60_000
         sizes = growth_sizes(request.window, aspect, min(limit, 2 * most_windows(request) + 200))
