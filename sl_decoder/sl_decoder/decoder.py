@@ -108,7 +108,7 @@ class Decoder:
                 reading.grow(self.limit)
             if smooth is not None:
                 reading.recover(smooth, self.limit)
-            reading.drop_cut()
+            reading.finish(self.limit)
         return reading
 
     def elements(self, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[NDArray, NDArray]:

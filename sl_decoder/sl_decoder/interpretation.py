@@ -204,8 +204,12 @@ class Interpretation:
         """Decoded dots per segmented blob."""
         return self.decoded() / max(1, self.segmented)
 
-    def drop_cut(self) -> None:
-        """Release dots that the border of the image cuts: their centres are those of what is left of them."""
+    def finish(self, limit: float) -> None:
+        """Release dots still below `limit`, and those that the border of the image cuts: their centres are wrong."""
+        low = (self.claim >= 0) & (self.belief < limit)
+        self.holder_u[self.claim[low]] = -1
+        self.holder_v[self.claim[low]] = -1
+        self.claim[low] = -1
         cut = np.flatnonzero(self.cut & (self.holder_v[: self.segmented] >= 0))
         self.claim[self.holder_v[cut], self.holder_u[cut]] = -1
         self.holder_v[cut] = -1

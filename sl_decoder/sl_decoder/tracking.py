@@ -245,6 +245,7 @@ class Tracker:
         if kept < self.options.least_share * before or kept < self.options.least_dots:
             return None
         reading.recover(smooth, decoder.limit, self._offset)
+        reading.finish(decoder.limit)
         if int((reading.claim >= 0).sum()) < 0.5 * self._full_count:
             return None
         return reading

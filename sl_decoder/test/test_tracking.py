@@ -1,0 +1,67 @@
+"""Tracking: identities persist, verification decides, nothing stale survives."""
+
+import numpy as np
+from decoder_helpers import camera_image, default_pattern
+
+from sl_decoder import Decoder, Tracker
+from sl_decoder.benchmark import view
+
+PATTERN = default_pattern()
+DECODER = Decoder(PATTERN)
+MS = 1_000_000
+
+
+def true_place(decoded, shift: float) -> np.ndarray:
+    affine = view(PATTERN, angle=0.1, scale=0.56, seed=1)
+    affine[:, 2] += np.array([shift, 0.5 * shift])
+    return decoded.projector @ affine[:, :2].T + affine[:, 2]
+
+
+def test_dots_keep_their_identity_while_they_move() -> None:
+    tracker = Tracker(DECODER)
+    seen: dict[tuple[int, int], int] = {}
+    tracked = 0
+    for k in range(12):
+        decoded = tracker.track(camera_image(PATTERN, 640, 480, shift=3.0 * k, seed=k), 1 + 33 * k * MS)
+        assert np.linalg.norm(decoded.camera - true_place(decoded, 3.0 * k), axis=1).max() < 0.7
+        assert len(decoded) > 2300
+        assert len(np.unique(decoded.track_id)) == len(decoded)
+        tracked += decoded.tracked
+        now = dict(zip(zip(decoded.row.tolist(), decoded.col.tolist(), strict=True), decoded.track_id.tolist(), strict=True))
+        assert all(seen[key] == value for key, value in now.items() if key in seen)
+        seen = now
+    assert tracked >= 9
+
+
+def test_a_jump_by_whole_dots_is_noticed() -> None:
+    tracker = Tracker(DECODER)
+    pitch = PATTERN.pitch * 0.56
+    for k, shift in enumerate([0.0, 0.0, pitch, pitch, 0.0, 3 * pitch]):
+        decoded = tracker.track(camera_image(PATTERN, 640, 480, shift=shift, seed=k), 1 + 33 * k * MS)
+        assert np.linalg.norm(decoded.camera - true_place(decoded, shift), axis=1).max() < 0.7
+        assert len(decoded) > 2300
+
+
+def test_a_switched_pattern_leaves_nothing() -> None:
+    tracker = Tracker(DECODER)
+    for k in range(3):
+        tracker.track(camera_image(PATTERN, 640, 480, seed=k), 1 + 33 * k * MS)
+    other = type(PATTERN)(
+        grid=PATTERN.grid, symbols=np.random.default_rng(1).integers(0, 6, PATTERN.symbols.shape), letters=PATTERN.letters
+    )
+    assert len(tracker.track(camera_image(other, 640, 480), 1 + 100 * MS)) == 0
+    assert len(tracker.track(np.zeros((480, 640, 3), np.uint8), 1 + 133 * MS)) == 0
+
+
+def test_gaps_older_stamps_and_other_sizes_start_anew() -> None:
+    tracker = Tracker(DECODER)
+    first = tracker.track(camera_image(PATTERN, 640, 480), 10_000 * MS)
+    late = tracker.track(camera_image(PATTERN, 640, 480), 20_000 * MS)
+    assert not late.tracked
+    assert not np.intersect1d(first.track_id, late.track_id).size
+    older = tracker.track(camera_image(PATTERN, 640, 480), 15_000 * MS)
+    assert not older.tracked
+    larger = tracker.track(camera_image(PATTERN, 1280, 960), 15_033 * MS)
+    assert not larger.tracked
+    assert len(larger) > 2300
+    assert not np.intersect1d(older.track_id, larger.track_id).size
