@@ -18,37 +18,37 @@ class HandEye:
     """
 
     def __init__(self, folder: str) -> None:
+        """Watch ``folder``; an empty name means that there is none."""
         self._path = Path(folder).expanduser() / calibration_files.HAND_EYE_FILE if folder else None
         self._seen: tuple[int, int] | None = None
         self.flange_from_camera: NDArray[float64] = transforms.identity()
         self.problem = "no hand-eye calibration: set parameter calibration_folder"
+        if self._path is not None:
+            self.problem = f"no hand-eye calibration: {self._path} does not exist; calibrate, then save it there"
         self.refresh()
 
-    def refresh(self) -> bool:
-        """Read the file if it is new or has changed; returns whether anything changed.
+    def refresh(self) -> str:
+        """Read the file if it is new or has changed; returns what came of it in a sentence, empty: no change.
 
-        A file that cannot be read leaves the last good transform in use and says so in ``problem`` only if there was
-        none.
+        A file that goes away or cannot be read leaves the last good transform in use.
         """
         if self._path is None:
-            return False
+            return ""
         try:
             stat = self._path.stat()
         except OSError:
-            missing = f"no hand-eye calibration: {self._path} does not exist; calibrate, then save it there"
-            changed = self._seen is None and self.problem != missing
-            if self._seen is None:
-                self.problem = missing
-            return changed
+            return ""
         version = (stat.st_mtime_ns, stat.st_size)
         if version == self._seen:
-            return False
+            return ""
+        self._seen = version
         try:
             calibration = calibration_files.load_hand_eye(self._path.parent)
         except CalibrationFileError as error:
-            changed = str(error) != self.problem
-            self.problem = str(error) if self._seen is None else self.problem
-            return changed and self._seen is None
-        self._seen, self.problem = version, ""
+            if self.problem:
+                self.problem = str(error)
+                return self.problem
+            return f"hand-eye calibration not used, the last good one stays: {error}"
+        self.problem = ""
         self.flange_from_camera = calibration.transform
-        return True
+        return f"hand-eye calibration read from {self._path}"

@@ -29,6 +29,7 @@ from arm_positioner.planning import Planner
 from arm_positioner.ros import parameters
 from arm_positioner.ros.action import PositionArmServer
 from arm_positioner.ros.commands import Commands, ForwardPosition, Trajectories
+from arm_positioner.ros.complaints import Complaints
 from arm_positioner.ros.conversions import markers, stamped
 from arm_positioner.ros.polled import PolledSubscription
 from arm_positioner.ros.scene import Scene
@@ -53,8 +54,9 @@ class PositionerNode(Node):
         self._loop: SetpointLoop | None = None
         self._commands: Commands | None = None
         self._gate = ServoGate()
+        self._complaints = Complaints(self)
         self._reported: Code | None = None
-        self._scene = Scene(self, s, self._hand_eye)
+        self._scene = Scene(self, s, self._hand_eye, self._complaints)
         self._action = PositionArmServer(self, s, self._scene, self._require_supervisor)
         self._status = self.create_publisher(PositionerStatus, "~/status", COMMANDS)
         self._target = self.create_publisher(PoseStamped, "~/target", COMMANDS)
@@ -156,7 +158,7 @@ class PositionerNode(Node):
                 raise InvalidGoalError(f"joint state is stamped {-age:.3f} s in the future: synchronise the clocks")
             self._scene.add_joints(stamp, positions)
         except StructuredLightError as error:
-            self.get_logger().warning(f"joint_states not used: {error}", throttle_duration_sec=2.0)
+            self._complaints.warn(f"joint_states not used: {error}")
             self._diagnostics.set("joint_states", str(error))
             return
         supervisor.joint_state(time.monotonic() - max(age, 0.0), positions)
@@ -189,7 +191,7 @@ class PositionerNode(Node):
                 supervisor.begin(Kind.SERVO, target)
                 self._gate.open()
         except StructuredLightError as error:
-            self.get_logger().warning(f"~/target_pose not used: {error}", throttle_duration_sec=2.0)
+            self._complaints.warn(f"~/target_pose not used: {error}")
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:
@@ -211,10 +213,9 @@ class PositionerNode(Node):
         return response
 
     def _check_files(self) -> None:
-        changed = self._hand_eye.refresh()
         supervisor = self._supervisor
-        if changed:
-            self.get_logger().info(self._hand_eye.problem or "hand-eye calibration read")
+        if news := self._hand_eye.refresh():
+            self.get_logger().info(news)
         if supervisor is not None and supervisor.task is None:
             supervisor.flange_from_camera = self._hand_eye.flange_from_camera
         if self._loop is not None:

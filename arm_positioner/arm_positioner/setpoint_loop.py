@@ -1,16 +1,20 @@
 """The thread that sends one setpoint per control period."""
 
 import gc
+import os
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
 _LATE = 0.25
 """Share of the period by which a tick may be late and still be followed by one on the old grid."""
+_NICENESS = -10
+"""Priority of the thread where the user may raise it; on Linux it counts per thread."""
 _SWITCH_INTERVAL = 5e-4
 """How long another Python thread may hold the interpreter while this one is due [s]."""
 
@@ -64,6 +68,8 @@ class SetpointLoop:
         }
 
     def _run(self) -> None:
+        with suppress(OSError, AttributeError):  # not permitted to every user, not known to every system
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         due = time.monotonic() + self.period
         last = None
         while not self._stop.is_set():

@@ -15,9 +15,10 @@ from sl_common.joint_buffer import JointBuffer, JointLookupError, TooLate
 from sl_common.kinematics import Kinematics
 from sl_common.ros.stamps import to_ns
 
-from arm_positioner.errors import InvalidGoalError, TargetError
+from arm_positioner.errors import InvalidGoalError, PositionerError, TargetError
 from arm_positioner.following import TargetFilter
 from arm_positioner.hand_eye import HandEye
+from arm_positioner.ros.complaints import Complaints
 from arm_positioner.ros.conversions import pose_to_array, sighting
 from arm_positioner.ros.parameters import Settings
 from arm_positioner.sight import Sight, nearly_equal
@@ -34,9 +35,9 @@ _PAIRING_WAIT = 0.1
 class Scene:
     """Turns clouds and goals into camera poses in the base frame, each with the arm as it stood at its stamp."""
 
-    def __init__(self, node: Node, settings: Settings, hand_eye: HandEye) -> None:
+    def __init__(self, node: Node, settings: Settings, hand_eye: HandEye, complaints: Complaints) -> None:
         """Start without an arm; :meth:`attach` gives it one."""
-        self._node, self._settings, self._hand_eye = node, settings, hand_eye
+        self._node, self._settings, self._hand_eye, self._complaints = node, settings, hand_eye, complaints
         self._sight = Sight(TargetFilter(time_constant=max(settings.follow_smoothing, 1e-3)))
         self._joints = JointBuffer(max_gap=settings.watch.joint_timeout)
         self._joint_lock = threading.Lock()
@@ -76,7 +77,7 @@ class Scene:
         try:
             target = self._target(message, options, None)
         except StructuredLightError as error:
-            self._node.get_logger().warning(f"cloud not used: {error}", throttle_duration_sec=2.0)
+            self._complaints.warn(f"point cloud not used: {error}")
             return
         pose = self._sight.expected(time.monotonic()) if task.follow else task.target
         if task.follow and not nearly_equal(pose, task.target):
@@ -112,22 +113,26 @@ class Scene:
             )
         begun, deadline = self._now(), time.monotonic() + timeout
         oldest = begun - round(1e9 * (0.0 if anchor is not None else self._settings.watch.cloud_timeout))
-        reason = f"no point cloud on {self._node.resolve_topic_name('points')} within {timeout:g} s"
+        topic = self._node.resolve_topic_name("points")
+        failure: PositionerError = TargetError(f"no point cloud on {topic} within {timeout:g} s")
         tried: PointCloud2 | None = None
         while True:
             with self._fresh:
                 while (message := self._cloud) is tried and self._fresh.wait(max(deadline - time.monotonic(), 0.0)):
                     pass
             if message is None or message is tried:
-                raise TargetError(f"refused: {reason}")
+                raise failure
             tried = message
             if to_ns(message.header.stamp) < oldest:
-                reason = f"the point cloud is {1e-9 * (self._now() - to_ns(message.header.stamp)):.2f} s old"
+                age = 1e-9 * (self._now() - to_ns(message.header.stamp))
+                failure = TargetError(f"the newest point cloud on {topic} is {age:.2f} s old")
                 continue
             try:
                 return self._target(message, options, anchor)
+            except PositionerError as error:
+                failure = error
             except StructuredLightError as error:
-                reason = str(error)
+                failure = InvalidGoalError(str(error))
 
     def base_from_goal(self, message: PoseStamped) -> Array:
         """Return base_from_camera (4, 4) of a goal in the base or the camera frame.

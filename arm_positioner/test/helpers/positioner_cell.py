@@ -1,5 +1,6 @@
 """A driver with one arm for the node tests: takes setpoints over DDS, publishes joint states, checks every command."""
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 import rclpy
@@ -29,7 +31,13 @@ from sl_msgs.action import PositionArm
 from sl_msgs.msg import PositionerStatus
 
 PERIOD = 1 / 125
+PATIENCE = {"joint_timeout": 0.25, "target_timeout": 0.25}  # the tests share a busy machine; [s]
 ACCELERATION, JERK, SCALE = 2.5, 25.0, 0.5  # the node's defaults
+
+
+def own_domain(first: int) -> int:
+    """Return a ROS domain of this test worker's own: ``first`` or the one after it."""
+    return first + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % 2
 
 
 class Cell:
@@ -51,11 +59,13 @@ class Cell:
         self.q = HOME[robot].copy()
         self._goal = self.q.copy()
         self.commands: list[np.ndarray] = []
+        self._before: list[np.ndarray] = []
         self.command_times: list[float] = []
         self.trajectories: list[JointTrajectory] = []
         self.statuses: list[tuple[int, str]] = []
         self.status: PositionerStatus | None = None
         self.silent = self.blocked = False
+        self.longest_gap = 0.0  # between joint states [s]
         self.lag = 0.02
         self.noise = 0.0
         self.stamp_offset = 0.0
@@ -79,6 +89,7 @@ class Cell:
         self.action = ActionClient(self.node, PositionArm, "positioner/position_arm")
         self.pause = self.node.create_client(SetBool, "positioner/pause")
         self.stop = self.node.create_client(Trigger, "positioner/stop")
+        sys.setswitchinterval(5e-4)  # the driver's thread must not wait for the others
         self._ended = threading.Event()
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -103,6 +114,9 @@ class Cell:
             self._executor.spin_once(timeout_sec=0.1)
 
     def _drive(self) -> None:
+        with suppress(OSError):  # the machine may be busy; a real driver would not be
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), -10)
+        sent = time.monotonic()
         while not self._ended.wait(PERIOD):
             if not self.blocked:
                 goal = self._scheduled() if self.trajectories else self._goal
@@ -118,6 +132,8 @@ class Cell:
             if self.corrupt is not None:
                 self.corrupt(message)
             self._joints.publish(message)
+            self.longest_gap = max(self.longest_gap, time.monotonic() - sent)
+            sent = time.monotonic()
 
     def _look(self) -> None:
         while not self._ended.wait(0.1):
@@ -213,6 +229,22 @@ class Cell:
         o.x, o.y, o.z, o.w = quaternion.tolist()
         return message
 
+    def reset(self) -> None:
+        """Undo what a test has done to the cell; commands and statuses are counted anew."""
+        self.silent = self.blocked = False
+        self.noise = self.stamp_offset = 0.0
+        self.corrupt = self.scene = None
+        self.wait_for_rest()
+        time.sleep(0.3)
+        self.wait(lambda: self.status is not None, 15, "a status")
+        self._before = self.commands[-1:] or self._before
+        self.commands, self.command_times, self.statuses = [], [], []
+
+    def drop_setpoint(self) -> None:
+        """Hold where the arm is, as a driver does after a fault."""
+        self._goal = self.q.copy()
+        self.commands = [self._goal]
+
     def violations(self) -> list[str]:
         """Check every command against the limits by differences."""
         if not self.commands:
@@ -220,15 +252,23 @@ class Cell:
         arm, ones = self.arm, np.ones(self.q.size)
         velocity = np.minimum(3.0, SCALE * arm.max_velocity)
         limits = JointLimits(arm.joint_names, arm.lower, arm.upper, velocity, ACCELERATION * ones, JERK * ones)
-        return limit_violations(np.array(self.commands), limits, PERIOD)
+        return limit_violations(np.array(self._before + self.commands), limits, PERIOD)
+
+
+def _die_with_parent() -> None:
+    """Leave no node behind where the tests are killed (Linux)."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 class Positioner:
     """The node under test, a process of its own."""
 
     def __init__(self, domain: int, **parameters) -> None:
+        parameters = PATIENCE | parameters
         arguments = [f"-p{k}:={v}" for k, v in parameters.items()]
         arguments = [a for item in arguments for a in ("-p", item[2:])]
+        self._lines: list[str] = []
         environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -239,7 +279,19 @@ class Positioner:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            preexec_fn=_die_with_parent,
         )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        self._lines.extend(self.process.stdout)
+
+    @property
+    def output(self) -> str:
+        """What the node has said so far."""
+        return "".join(self._lines)
 
     def kill(self) -> None:
         """As a power cut would."""
@@ -251,9 +303,9 @@ class Positioner:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         try:
-            output, _ = self.process.communicate(timeout=timeout)
+            code = self.process.wait(timeout=timeout)
         except subprocess.TimeoutExpired:
             self.process.kill()
-            output, _ = self.process.communicate()
-            return -9, output
-        return self.process.returncode, output
+            code = -9
+        self._reader.join(timeout=2)
+        return code, self.output

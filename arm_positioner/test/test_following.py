@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from arm_positioner.following import TargetFilter
+from arm_positioner.servo import ServoGate
+
+from sl_common import transforms
+
+
+def pose(x, angle=0.0):
+    return transforms.make(transforms.rotation_exp((0, 0, angle)), (x, 0, 0))
+
+
+def test_a_steady_motion_is_met_without_lag():
+    target = TargetFilter()
+    for t in np.arange(0, 2, 0.1):
+        target.update(t, pose(0.1 * t, 0.2 * t))
+    delta = transforms.difference(target.at(2.05), pose(0.205, 0.41))
+    assert np.abs(delta).max() < 2e-3
+    assert target.speed == pytest.approx(0.1, rel=0.02)
+
+
+def test_noise_is_smoothed_and_the_pose_at_rest_unbiased():
+    rng = np.random.default_rng(0)
+    target, out = TargetFilter(time_constant=0.3), []
+    for t in np.arange(0, 20, 0.1):
+        target.update(t, pose(rng.normal(scale=1e-3)))
+        if t > 2:
+            out.append(target.at(t)[0, 3])
+    assert np.std(out) < 0.7e-3
+    assert abs(np.mean(out)) < 2e-4
+
+
+def test_a_single_outlier_is_ignored_and_a_real_jump_believed():
+    target = TargetFilter(gate=0.1)
+    for t in np.arange(0, 1, 0.1):
+        target.update(t, pose(0.0))
+    assert not target.update(1.0, pose(0.5))
+    assert abs(target.at(1.0)[0, 3]) < 1e-6
+    assert target.update(1.1, pose(0.0))
+    assert not target.update(1.2, pose(0.5))
+    assert not target.update(1.3, pose(0.5))
+    assert target.update(1.4, pose(0.5))
+    assert target.at(1.4)[0, 3] == pytest.approx(0.5)
+
+
+def test_extrapolation_ends_at_the_horizon_and_speed_is_bounded():
+    target = TargetFilter(horizon=0.5, max_speed=0.2, gate=10.0)
+    for t in np.arange(0, 2, 0.1):
+        target.update(t, pose(1.0 * t))
+    assert target.speed <= 0.2 + 1e-9
+    assert np.allclose(target.at(9.0), target.at(2.4))
+
+
+def test_old_measurements_are_ignored():
+    target = TargetFilter()
+    target.update(1.0, pose(0.1))
+    assert not target.update(0.9, pose(0.2))
+    with pytest.raises(ValueError, match="no target"):
+        TargetFilter().at(0.0)
+
+
+def test_the_gate_ends_a_stream_until_it_has_been_silent_or_is_opened():
+    gate = ServoGate(silence=1.0)
+    assert gate.admits(0.0)
+    gate.close()
+    assert not any(gate.admits(t) for t in np.arange(0.1, 5.0, 0.5))
+    assert gate.admits(6.0)
+    gate.close()
+    assert not gate.admits(6.1)
+    gate.open()
+    assert gate.admits(6.2)
