@@ -93,6 +93,7 @@ class Chain:
         def found():
             return next((m for m in list(self.dots) if to_ns(m.header.stamp) == stamp), None)
 
+        wait_for(lambda: any(to_ns(m.header.stamp) == stamp for m in list(self.points)), 10, "its points")
         return wait_for(found, 10, "correspondences of a good image"), states
 
 

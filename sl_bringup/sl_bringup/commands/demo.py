@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from sl_bringup.bag.writer import BackgroundWriter
-from sl_bringup.demo import acts, nodes
+from sl_bringup.demo import acts, nodes, self_calibration
 from sl_bringup.demo.acts import Motion
 from sl_bringup.demo.report import Row, passed, table
 from sl_bringup.demo.session import Session
@@ -35,6 +35,7 @@ class Options:
     seed: int
     standoff: float
     duration: float
+    calibration: str
     output: Path
     short: bool
     domain_id: int | None
@@ -54,6 +55,12 @@ def parse(arguments: list[str] | None = None) -> Options:
     parser.add_argument("--seed", type=int, default=1, help="of scene, mounting and noise (default: %(default)s)")
     parser.add_argument("--standoff", type=float, default=0.4, help="camera to surface [m] (default: %(default)s)")
     parser.add_argument("--duration", type=float, default=6.0, help="of the motion [s] (default: %(default)s)")
+    parser.add_argument(
+        "--calibration",
+        choices=("self", "nominal"),
+        default="self",
+        help="self: the system calibrates itself first; nominal: the cell's values with realistic errors (default: %(default)s)",
+    )
     parser.add_argument("--output", type=Path, default=Path("demo_output"), help="folder, replaced (default: %(default)s)")
     parser.add_argument("--short", action="store_true", help="no pictures, no bag, a quicker motion: for CI")
     parser.add_argument("--no-bag", action="store_true", help="record no bag")
@@ -75,14 +82,25 @@ def run(options: Options, terminal: Terminal) -> bool:
     try:
         with Session(terminal, logs, domain=options.domain_id, bag=bag) as session:
             terminal.step(f"starting the cell (scene {options.scene}, seed {options.seed}) and the chain")
-            session.start([nodes.simulated_cell(options.scene, options.seed), *nodes.chain(calibration.resolve())])
+            executables = [nodes.simulated_cell(options.scene, options.seed), *nodes.chain(calibration.resolve())]
+            if options.calibration == "self":
+                samples = (options.output / "calibration_session").resolve()
+                executables.append(nodes.calibrator(calibration.resolve(), samples))
+            session.start(executables)
             acts.wait_until_running(session, terminal)
-            acts.use_nominal_calibration(session, terminal, calibration, options.seed)
+            calibrated = None
+            if options.calibration == "self":
+                calibrated = self_calibration.self_calibrate(session, terminal)
+            else:
+                acts.use_nominal_calibration(session, terminal, calibration, options.seed)
             acts.look(session, terminal)
             failure, motion = _move(session, terminal, options)
             codes = session.processes.stop()
             terminal.step("all nodes stopped")
-            rows = _report(session, options, motion, codes, time.monotonic() - started, terminal)
+            rows = _report(session, options, motion, codes, terminal)
+            assert session.observer.truth is not None
+            rows = self_calibration.rows(calibration, session.observer.truth, calibrated) + rows
+            rows.append(Row("wall time of the run", time.monotonic() - started, "s", digits=0))
     finally:
         if bag is not None:
             bag.close()
@@ -107,7 +125,7 @@ def _move(session: Session, terminal: Terminal, options: Options) -> tuple[DemoE
 
 
 def _report(
-    session: Session, options: Options, motion: Motion | None, codes: dict[str, int], elapsed: float, terminal: Terminal
+    session: Session, options: Options, motion: Motion | None, codes: dict[str, int], terminal: Terminal
 ) -> list[Row]:
     """Judge the run and draw the pictures."""
     from sl_bringup.demo import figures, gallery  # the scene and matplotlib load while nothing waits for them
@@ -119,7 +137,6 @@ def _report(
     cell = figures.true_cell(truth)
     rows = figures.rows(observer.record, truth, cell, pattern, motion, options.standoff)
     rows.append(Row("nodes that did not stop cleanly", sum(code != 0 for code in codes.values()), "", 0.0, digits=0))
-    rows.append(Row("wall time of the run", elapsed, "s", digits=0))
     if not options.short:
         terminal.step("drawing the pictures")
         gallery.draw(options.output, observer, cell, motion)

@@ -16,6 +16,17 @@ def executable(package: str, node: str, *, niceness: int = 0, **parameters: obje
     return Executable(package, node, parameters=parameters, parameter_files=files, niceness=niceness)
 
 
+def calibrator(calibration_folder: Path, session_folder: Path) -> Executable:
+    """Return the calibrator, which keeps its samples in ``session_folder``."""
+    return executable(
+        "sl_calibration",
+        "calibrator",
+        niceness=5,
+        calibration_folder=calibration_folder,
+        session_folder=session_folder,
+    )
+
+
 def chain(calibration_folder: Path) -> list[Executable]:
     """Return the nodes that a real cell runs too: projector to setpoints.
 

@@ -23,7 +23,7 @@ from sl_common.ros import clouds
 from sl_common.ros.qos import COMMANDS, JOINT_STATES, LATCHED, STREAM_SUBSCRIBE
 from sl_common.ros.stamps import to_ns
 from sl_msgs.action import PositionArm
-from sl_msgs.msg import Correspondences, Pattern, PositionerStatus
+from sl_msgs.msg import CalibrationProgress, Correspondences, Pattern, PositionerStatus
 
 Array = NDArray[np.float64]
 
@@ -111,6 +111,7 @@ class Observer(Node):
         self._listen(PositionerStatus, f"{POSITIONER}/status", COMMANDS, self._on_status)
         self._listen(PoseStamped, f"{POSITIONER}/target", COMMANDS)
         self._listen(DiagnosticArray, "/diagnostics", COMMANDS)
+        self._listen(CalibrationProgress, "calibrator/progress", LATCHED)
         self._listen(String, f"{CELL}/truth", LATCHED, self._on_truth)
         self._listen(PoseStamped, f"{CELL}/truth/camera_pose", COMMANDS, self._on_camera_pose)
         self._listen(PoseStamped, f"{CELL}/truth/object_pose", COMMANDS, self._on_object_pose)
