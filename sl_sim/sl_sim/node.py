@@ -147,14 +147,12 @@ class CellNode(Node):
             if stamp >= self._next_state:
                 self._next_state += round(_NS / self._p.joint_state_rate)
                 self._publish_joints(stamp, positions)
-            if stamp >= self._next_image:
-                self._next_image += max(1, (stamp - self._next_image) // round(_NS / self._p.camera_rate) + 1) * round(
-                    _NS / self._p.camera_rate
-                )
-                if self._worker.busy or self._shutter is not None:
-                    self._skipped += 1
-                else:
-                    self._shutter = stamp
+            if stamp >= self._next_image and not self._worker.busy and self._shutter is None:
+                period = round(_NS / self._p.camera_rate)
+                missed = (stamp - self._next_image) // period
+                self._skipped += missed if self._images else 0  # not while the scene is being built
+                self._next_image += (missed + 1) * period
+                self._shutter = stamp
         taken = self._worker.poll()
         if taken is not None:
             self._publish_image(taken)
