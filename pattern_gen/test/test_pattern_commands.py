@@ -31,7 +31,7 @@ def pattern_file(tmp_path):
 )
 def test_generated_files_pass_verify(tmp_path, options):
     path = tmp_path / "new" / "pattern.yaml"
-    result = run("generate", "--letters", 6, "--hamming", 3, *options.split(), "--output", path)
+    result = run("generate", "--letters", 6, "--hamming", 3, *options, "--output", path)
     assert result.returncode == 0, result.stderr
     verified = run("verify", path)
     assert verified.returncode == 0, verified.stderr
