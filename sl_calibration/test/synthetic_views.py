@@ -61,7 +61,7 @@ def make_cell(
         transforms.rotation_exp(rng.normal(scale=1.0, size=3)), rng.uniform(-0.08, 0.08, 3) + [0, 0, 0.08]
     )
     grid = centers(ROWS // step, COLS // step, step)
-    points = _hit(projector, scene_from_projector, grid.reshape(-1, 2), relief, rng)
+    points = hit_surface(projector, scene_from_projector, grid.reshape(-1, 2), relief, rng)
     poses = []
     for i in range(views):
         angles = np.radians(turn) * rng.uniform(-1, 1, 3)
@@ -93,7 +93,7 @@ def make_cell(
     )
 
 
-def _hit(projector, scene_from_projector, pixels, relief, rng):
+def hit_surface(projector, scene_from_projector, pixels, relief, rng):
     """Where the projector's rays meet z = relief * waves(x, y), by fixed-point iteration."""
     origin = scene_from_projector[:3, 3]
     rays = projector.rays(pixels) @ scene_from_projector[:3, :3].T

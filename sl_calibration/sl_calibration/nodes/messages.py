@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.errors import InvalidInputError
 
+from sl_common.errors import InvalidInputError
 from sl_msgs.msg import Correspondences, Pattern
 
 Array = NDArray[np.float64]

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
 from sl_common.errors import InvalidInputError, StructuredLightError
 from sl_common.joint_buffer import JointBuffer, JointLookupError, TooLate
 from sl_common.kinematics import Kinematics
 from sl_common.ros.qos import JOINT_STATES, LATCHED
 from sl_common.ros.stamps import to_ns
 from sl_common.ros.waiting import InputWatch
-from std_msgs.msg import String
 
 Array = NDArray[np.float64]
 M = TypeVar("M")

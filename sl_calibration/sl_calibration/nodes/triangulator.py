@@ -7,6 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from sl_calibration.nodes.messages import colours_from_message, dots_from_message
+from sl_calibration.nodes.robot import Pairing, Robot
+from sl_calibration.triangulation import Triangulation, TriangulationOptions, camera_from_projector, triangulate
+from sl_common import transforms
 from sl_common.calibration_files import (
     CAMERA_FILE,
     HAND_EYE_FILE,
@@ -26,13 +33,6 @@ from sl_common.ros.qos import LATCHED, STREAM_PUBLISH, STREAM_SUBSCRIBE
 from sl_common.ros.run import run_node
 from sl_common.ros.stamps import to_ns
 from sl_common.ros.waiting import InputWatch
-from std_msgs.msg import Header
-from std_srvs.srv import Trigger
-
-from sl_calibration.nodes.messages import colours_from_message, dots_from_message
-from sl_calibration.nodes.robot import Pairing, Robot
-from sl_calibration.triangulation import Triangulation, TriangulationOptions, camera_from_projector, triangulate
-from sl_common import transforms
 from sl_msgs.msg import Correspondences, Pattern
 
 _GREY = 200

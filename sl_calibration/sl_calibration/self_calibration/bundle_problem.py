@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
 
 from sl_calibration.self_calibration import lens
 from sl_calibration.self_calibration.views import Observations
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -5,8 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
-from sl_common.errors import InvalidInputError
 
 from sl_calibration.self_calibration import centroids, consistency, lens
 from sl_calibration.self_calibration.bundle_adjustment import adjust, consider, covariance, normal_equations
@@ -29,6 +27,8 @@ from sl_calibration.self_calibration.relative_motion import pair_rotations
 from sl_calibration.self_calibration.result import LeftOut, SelfCalibration
 from sl_calibration.self_calibration.views import Observations, View, check_poses, flatten
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -175,7 +175,7 @@ def _reject(problem: Problem, state: State, *, first: bool = False) -> tuple[Pro
     observations = problem.observations
     in_camera, in_projector = reprojection_errors(problem, state)
     right = right_observations(observations.view, in_camera, len(observations.names), least=2.0 if first else 0.2)
-    """Drop observations off by over four standard deviations of their view, and dots with less than two left."""
+    # Before the first adjustment dots come from the cameras alone; later they are drawn to the projector's rays.
     limit = max(5 * float(np.median(in_projector)) / 1.1774, 3.0) if first else 6 * problem.projector_sigma
     observations = observations.select(right & (in_projector < limit)[observations.point])
     # A dot of a single view has nothing but the epipolar line to show that its code is right.

@@ -13,10 +13,10 @@ along with all else. E goes with the cosine of the light's angle over the square
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
 
 from sl_calibration.self_calibration.views import Observations
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.errors import StructuredLightError
 
 from sl_calibration.self_calibration.errors import DegenerateMotionError, InconsistentPosesError, TooFewViewsError
 from sl_calibration.self_calibration.initialise import conjugation_error, hand_eye_rotation
 from sl_calibration.self_calibration.relative_motion import PairRotations
 from sl_common import transforms
+from sl_common.errors import StructuredLightError
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

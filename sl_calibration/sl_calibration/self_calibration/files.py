@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from sl_calibration.self_calibration import lens
+from sl_calibration.self_calibration.result import SelfCalibration
 from sl_common.calibration_files import (
     CAMERA_FILE,
     HAND_EYE_FILE,
@@ -23,9 +26,6 @@ from sl_common.calibration_files import (
 )
 from sl_common.errors import StructuredLightError
 from sl_common.files import write_text, write_yaml
-
-from sl_calibration.self_calibration import lens
-from sl_calibration.self_calibration.result import SelfCalibration
 
 REPORT_FILE = "self_calibration.yaml"
 POINTS_FILE = "points.csv"

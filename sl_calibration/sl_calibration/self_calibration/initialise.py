@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from sl_common.errors import StructuredLightError
 
 from sl_calibration.self_calibration.errors import DegenerateSceneError, InconsistentPosesError, SelfCalibrationError
 from sl_calibration.self_calibration.relative_motion import PairRotations, fit_rotation
 from sl_calibration.self_calibration.views import Observations
 from sl_common import transforms
+from sl_common.errors import StructuredLightError
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
-from sl_common.errors import InvalidInputError
 
 from sl_calibration.self_calibration.views import LEAST_DOTS, View
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

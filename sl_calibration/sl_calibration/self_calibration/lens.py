@@ -6,6 +6,7 @@ the distortion model.
 
 import numpy as np
 from numpy.typing import NDArray
+
 from sl_common.cameras import COEFFICIENTS, CameraModel
 
 Array = NDArray[np.float64]

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
 
 from sl_calibration.self_calibration import lens
 from sl_calibration.self_calibration.bundle_problem import Problem, State, camera_points
@@ -13,6 +12,7 @@ from sl_calibration.self_calibration.noise_model import robust_scale
 from sl_calibration.self_calibration.views import Observations
 from sl_calibration.triangulation import camera_from_projector, triangulate
 from sl_common import transforms
+from sl_common.cameras import CameraModel
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
 
 from sl_calibration.self_calibration.bundle_problem import Noise
+from sl_common.cameras import CameraModel
 
 Array = NDArray[np.float64]
 

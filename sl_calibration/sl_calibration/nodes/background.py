@@ -1,0 +1,35 @@
+"""Long computations beside a single-threaded executor."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.task import Future
+
+
+class Background:
+    """Runs one function at a time in a thread; the node goes on answering meanwhile."""
+
+    def __init__(self, node: Node, period: float = 0.1) -> None:
+        self._node, self._period = node, period
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background")
+        self.busy = False
+
+    async def run(self, function: Callable[[], Any]) -> Any:
+        """Return the function's result; its exceptions are raised here."""
+        self.busy = True
+        job = self._pool.submit(function)
+        done: Future = Future()
+        # Polled, as a future of rclpy must be set in the executor's own thread.
+        timer = self._node.create_timer(self._period, lambda: job.done() and not done.done() and done.set_result(None))
+        try:
+            await done
+        finally:
+            self._node.destroy_timer(timer)
+            self.busy = False
+        return job.result()
+
+    def close(self) -> None:
+        """Forget what still waits; a running computation ends with the process."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
