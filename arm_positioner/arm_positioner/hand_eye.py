@@ -4,9 +4,9 @@ from pathlib import Path
 
 from numpy import float64
 from numpy.typing import NDArray
-from sl_common.errors import CalibrationFileError
 
 from sl_common import calibration_files, transforms
+from sl_common.errors import CalibrationFileError
 
 
 class HandEye:

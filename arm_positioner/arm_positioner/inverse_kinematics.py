@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sl_common.kinematics import Kinematics
 
 from arm_positioner.errors import UnreachableError
 from sl_common import transforms
+from sl_common.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

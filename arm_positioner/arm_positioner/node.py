@@ -11,13 +11,6 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
-from sl_common.errors import StructuredLightError
-from sl_common.kinematics import Kinematics
-from sl_common.ros.diagnostics import ERROR, OK, WARN, Diagnostics
-from sl_common.ros.qos import COMMANDS, JOINT_STATES, LATCHED, STREAM_SUBSCRIBE
-from sl_common.ros.run import run_node
-from sl_common.ros.stamps import from_ns, to_ns
-from sl_common.ros.waiting import InputWatch
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
@@ -34,9 +27,16 @@ from arm_positioner.ros.conversions import markers, stamped
 from arm_positioner.ros.polled import PolledSubscription
 from arm_positioner.ros.scene import Scene
 from arm_positioner.servo import ServoGate
-from arm_positioner.setpoint_loop import SetpointLoop
+from arm_positioner.setpoint_loop import SetpointLoop, raise_priority
 from arm_positioner.supervisor import Supervisor
 from arm_positioner.task import Kind
+from sl_common.errors import StructuredLightError
+from sl_common.kinematics import Kinematics
+from sl_common.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from sl_common.ros.qos import COMMANDS, JOINT_STATES, LATCHED, STREAM_SUBSCRIBE
+from sl_common.ros.run import run_node
+from sl_common.ros.stamps import from_ns, to_ns
+from sl_common.ros.waiting import InputWatch
 from sl_msgs.msg import PositionerStatus
 
 _CLOSING_TIME = 5.0
@@ -259,11 +259,13 @@ class PositionerNode(Node):
             time.sleep(2 * self._settings.period)
             loop.stop()
             self._publish_status()
+        self._scene.close()
         super().destroy_node()
 
 
 def main() -> int:
     """Run the node until SIGINT or SIGTERM."""
+    raise_priority()
     return run_node(PositionerNode, executor=lambda: MultiThreadedExecutor(num_threads=6))
 
 

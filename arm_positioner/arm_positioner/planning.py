@@ -5,7 +5,6 @@ from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.kinematics import Kinematics
 
 from arm_positioner.errors import InvalidGoalError, JointLimitError, PositionerError, SingularityError, UnreachableError
 from arm_positioner.inverse_kinematics import InverseKinematics, Solution, SolverOptions
@@ -13,6 +12,7 @@ from arm_positioner.limits import JointLimits
 from arm_positioner.singularity import SingularityThresholds, conditions_along, first_violation
 from arm_positioner.trajectory import Trajectory
 from sl_common import transforms
+from sl_common.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

@@ -7,16 +7,28 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 
 import numpy as np
 
 _LATE = 0.25
 """Share of the period by which a tick may be late and still be followed by one on the old grid."""
 _NICENESS = -10
-"""Priority of the thread where the user may raise it; on Linux it counts per thread."""
+"""Priority of the node where the user may raise it."""
 _SWITCH_INTERVAL = 5e-4
 """How long another Python thread may hold the interpreter while this one is due [s]."""
+
+
+def raise_priority() -> bool:
+    """Let this thread, and those it starts from now on, go before others; returns whether the system permits it.
+
+    All threads of a node need it, not only the one that sends setpoints: on Linux priorities count per thread, and a
+    thread that waits for its turn while it holds the interpreter keeps the setpoints waiting too.
+    """
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    except (OSError, AttributeError):
+        return False
+    return True
 
 
 class SetpointLoop:
@@ -68,8 +80,6 @@ class SetpointLoop:
         }
 
     def _run(self) -> None:
-        with suppress(OSError, AttributeError):  # not permitted to every user, not known to every system
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         due = time.monotonic() + self.period
         last = None
         while not self._stop.is_set():

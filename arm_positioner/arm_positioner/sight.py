@@ -1,6 +1,7 @@
 """The object as the clouds show it over time: a target per cloud, smoothed while it is followed."""
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,9 @@ class Sighting:
 class Sight:
     """Finds the target in each cloud and keeps to the same object."""
 
-    def __init__(self, smoothing: TargetFilter | None = None) -> None:
+    def __init__(self, smoothing: TargetFilter | None = None, find: Callable[..., Target] = find_target) -> None:
+        """Smooth followed targets by ``smoothing``; ``find`` is find_target, or the same in another process."""
+        self._find = find
         self._filter = smoothing or TargetFilter()
         self._lock = threading.Lock()
         self._latest: Target | None = None
@@ -57,7 +60,7 @@ class Sight:
         """Return the target in a cloud, as it is; see :func:`.target.find_target` for ``anchor`` and errors."""
         with self._lock:
             previous = self._latest
-        target = find_target(
+        target = self._find(
             sighting.points,
             sighting.base_from_camera,
             confidence=sighting.confidence,

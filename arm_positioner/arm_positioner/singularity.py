@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from sl_common.kinematics import Kinematics
 
 Array = NDArray[np.float64]

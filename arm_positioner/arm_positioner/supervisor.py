@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.kinematics import Kinematics
 
 from arm_positioner import watchdog
 from arm_positioner.errors import Code, InvalidGoalError, NotAtRestError, PausedError, PositionerError, StaleJointsError
@@ -19,6 +18,7 @@ from arm_positioner.task import Kind, Outcome, Task
 from arm_positioner.trajectory import MotionState, Trajectory
 from arm_positioner.watchdog import WatchOptions
 from sl_common import transforms
+from sl_common.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

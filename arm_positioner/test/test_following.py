@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+
 from arm_positioner.following import TargetFilter
 from arm_positioner.servo import ServoGate
-
 from sl_common import transforms
 
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from arm_positioner.guard import SetpointGuard
 from arm_positioner.limits import JointLimits
 from arm_positioner.trajectory import MotionState, plan

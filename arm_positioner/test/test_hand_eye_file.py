@@ -1,10 +1,10 @@
 import os
 
 import numpy as np
-from arm_positioner.hand_eye import HandEye
-from sl_common.calibration_files import HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration, save_pose
 
+from arm_positioner.hand_eye import HandEye
 from sl_common import transforms
+from sl_common.calibration_files import HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration, save_pose
 
 POSE = transforms.make(transforms.rotation_exp((0.1, 0.2, 0.3)), (0.01, 0.02, 0.03))
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from arm_positioner.errors import UnreachableError
-from arm_positioner.inverse_kinematics import InverseKinematics
 from positioner_robots import HOME, URDFS, kinematics
 
+from arm_positioner.errors import UnreachableError
+from arm_positioner.inverse_kinematics import InverseKinematics
 from sl_common import transforms
 
 

@@ -1,4 +1,5 @@
 import numpy as np
+
 from arm_positioner.measurement import CommandHistory, MeasuredJoints
 
 

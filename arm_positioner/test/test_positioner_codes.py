@@ -3,9 +3,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from arm_positioner.errors import Code
 
 import arm_positioner
+from arm_positioner.errors import Code
 
 
 def test_codes_are_those_of_the_message():

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from arm_positioner.errors import InvalidGoalError
 from arm_positioner.limits import JointLimits, command_order, from_urdf
 

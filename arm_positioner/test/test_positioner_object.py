@@ -12,9 +12,9 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from positioner_cell import Cell, Positioner, own_domain
 from positioner_robots import HOME
-from sl_common.calibration_files import HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration, save_pose
 
 from sl_common import transforms
+from sl_common.calibration_files import HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration, save_pose
 from sl_msgs.msg import PositionerStatus as S
 
 pytestmark = pytest.mark.xdist_group("positioner_node")

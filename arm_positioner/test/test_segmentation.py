@@ -1,6 +1,7 @@
 import numpy as np
-from arm_positioner.segmentation import components, nearest_component, spacing
 from positioner_scenes import box, cast, nearest, plane, sphere
+
+from arm_positioner.segmentation import components, nearest_component, spacing
 
 WALL = plane((0, 0, 1.2), (0, 0, -1.0))
 

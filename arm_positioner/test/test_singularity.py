@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from positioner_robots import HOME, kinematics
+
 from arm_positioner.errors import SingularityError
 from arm_positioner.planning import require_regular
 from arm_positioner.singularity import (
@@ -9,7 +11,6 @@ from arm_positioner.singularity import (
     conditions_along,
     first_violation,
 )
-from positioner_robots import HOME, kinematics
 
 LIMITS = SingularityThresholds(slow=40, stop=100, least_speed=0.1)
 

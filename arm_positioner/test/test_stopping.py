@@ -1,9 +1,10 @@
 import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from arm_positioner.limits import JointLimits
 from arm_positioner.stopping import stopping_range
 from arm_positioner.trajectory import MotionState, brake
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 UNIT = st.floats(-1, 1)
 

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from positioner_checks import limit_violations
+
 from arm_positioner.errors import InvalidGoalError, JointLimitError, PositionerError
 from arm_positioner.limits import JointLimits
 from arm_positioner.stream import SetpointStream
 from arm_positioner.trajectory import MotionState
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from positioner_checks import limit_violations
 
 PERIOD = 0.008
 

@@ -2,6 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings, target
+from hypothesis import strategies as st
+from positioner_checks import limit_violations
+from positioner_robots import HOME
+from positioner_simulation import PERIOD, Simulation
+
 from arm_positioner.errors import (
     Code,
     InvalidGoalError,
@@ -15,12 +21,6 @@ from arm_positioner.errors import (
 )
 from arm_positioner.singularity import SingularityThresholds
 from arm_positioner.task import Kind, Outcome
-from hypothesis import HealthCheck, given, settings, target
-from hypothesis import strategies as st
-from positioner_checks import limit_violations
-from positioner_robots import HOME
-from positioner_simulation import PERIOD, Simulation
-
 from sl_common import transforms
 
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from positioner_scenes import box, cast, nearest, plane, sphere
+
 from arm_positioner.errors import InvalidGoalError, TargetError
 from arm_positioner.surface import FitOptions
 from arm_positioner.target import TargetOptions, facing_pose, find_target
-from positioner_scenes import box, cast, nearest, plane, sphere
-
 from sl_common import transforms
 
 CAMERA = transforms.look_at((0.1, -0.05, 0.0), (0.0, 0.0, 1.0), (0, -1, 0))

@@ -10,7 +10,6 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from sl_common.errors import StructuredLightError
 
 from arm_positioner.errors import Code, InvalidGoalError, NotAtRestError, PositionerError, StaleJointsError, TargetError
 from arm_positioner.ros.conversions import stamped
@@ -20,6 +19,7 @@ from arm_positioner.sight import nearly_equal
 from arm_positioner.supervisor import Supervisor
 from arm_positioner.target import TargetOptions
 from arm_positioner.task import Kind, Outcome, Task
+from sl_common.errors import StructuredLightError
 from sl_msgs.action import PositionArm
 
 Array = NDArray[np.float64]

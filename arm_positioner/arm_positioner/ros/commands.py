@@ -6,12 +6,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from sl_common.ros.qos import COMMANDS
-from sl_common.ros.stamps import from_ns
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_positioner.trajectory import MotionState
+from sl_common.ros.qos import COMMANDS
+from sl_common.ros.stamps import from_ns
 
 _SECOND = 1_000_000_000
 

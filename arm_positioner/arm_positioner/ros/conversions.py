@@ -4,15 +4,15 @@ import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
-from sl_common.errors import InvalidInputError
-from sl_common.ros import clouds
-from sl_common.ros.stamps import from_ns
 from visualization_msgs.msg import Marker, MarkerArray
 
 from arm_positioner.errors import InvalidGoalError
 from arm_positioner.sight import Sighting
 from arm_positioner.target import Target
 from sl_common import transforms
+from sl_common.errors import InvalidInputError
+from sl_common.ros import clouds
+from sl_common.ros.stamps import from_ns
 
 Array = NDArray[np.float64]
 

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 
 from rclpy.node import Node
-from sl_common.ros.parameters import declare
 
 from arm_positioner.errors import InvalidGoalError
 from arm_positioner.singularity import SingularityThresholds
 from arm_positioner.surface import FitOptions
 from arm_positioner.target import TargetOptions
 from arm_positioner.watchdog import WatchOptions
+from sl_common.ros.parameters import declare
 
 FORWARD_POSITION, JOINT_TRAJECTORY = "forward_position", "joint_trajectory"
 

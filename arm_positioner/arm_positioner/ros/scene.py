@@ -10,10 +10,6 @@ from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from sl_common.errors import InvalidInputError, StructuredLightError
-from sl_common.joint_buffer import JointBuffer, JointLookupError, TooLate
-from sl_common.kinematics import Kinematics
-from sl_common.ros.stamps import to_ns
 
 from arm_positioner.errors import InvalidGoalError, PositionerError, TargetError
 from arm_positioner.following import TargetFilter
@@ -24,7 +20,12 @@ from arm_positioner.ros.parameters import Settings
 from arm_positioner.sight import Sight, nearly_equal
 from arm_positioner.supervisor import Supervisor
 from arm_positioner.target import Target, TargetOptions
+from arm_positioner.target_process import TargetProcess
 from arm_positioner.task import Task
+from sl_common.errors import InvalidInputError, StructuredLightError
+from sl_common.joint_buffer import JointBuffer, JointLookupError, TooLate
+from sl_common.kinematics import Kinematics
+from sl_common.ros.stamps import to_ns
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,9 @@ class Scene:
     def __init__(self, node: Node, settings: Settings, hand_eye: HandEye, complaints: Complaints) -> None:
         """Start without an arm; :meth:`attach` gives it one."""
         self._node, self._settings, self._hand_eye, self._complaints = node, settings, hand_eye, complaints
-        self._sight = Sight(TargetFilter(time_constant=max(settings.follow_smoothing, 1e-3)))
+        self._fitting = TargetProcess()
+        smoothing = TargetFilter(time_constant=max(settings.follow_smoothing, 1e-3))
+        self._sight = Sight(smoothing, self._fitting.find)
         self._joints = JointBuffer(max_gap=settings.watch.joint_timeout)
         self._joint_lock = threading.Lock()
         self._fresh = threading.Condition()
@@ -50,6 +53,10 @@ class Scene:
     def attach(self, kinematics: Kinematics, supervisor: Supervisor) -> None:
         """Use an arm; ``kinematics`` is not shared with another thread."""
         self._kinematics, self._supervisor = kinematics, supervisor
+
+    def close(self) -> None:
+        """End the process that fits surfaces."""
+        self._fitting.close()
 
     @property
     def seen(self) -> Target | None:

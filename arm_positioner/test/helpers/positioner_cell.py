@@ -12,7 +12,6 @@ from contextlib import suppress
 
 import numpy as np
 import rclpy
-from arm_positioner.limits import JointLimits
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from positioner_checks import limit_violations
@@ -20,13 +19,15 @@ from positioner_robots import HOME, URDFS, kinematics
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState, PointCloud2
-from sl_common.ros import clouds
-from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
 from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from arm_positioner.limits import JointLimits
+from arm_positioner.setpoint_loop import raise_priority
 from sl_common import transforms
+from sl_common.ros import clouds
+from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
 from sl_msgs.action import PositionArm
 from sl_msgs.msg import PositionerStatus
 
@@ -89,6 +90,7 @@ class Cell:
         self.action = ActionClient(self.node, PositionArm, "positioner/position_arm")
         self.pause = self.node.create_client(SetBool, "positioner/pause")
         self.stop = self.node.create_client(Trigger, "positioner/stop")
+        raise_priority()  # the machine may be busy; a real driver would not be
         sys.setswitchinterval(5e-4)  # the driver's thread must not wait for the others
         self._ended = threading.Event()
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -114,8 +116,6 @@ class Cell:
             self._executor.spin_once(timeout_sec=0.1)
 
     def _drive(self) -> None:
-        with suppress(OSError):  # the machine may be busy; a real driver would not be
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), -10)
         sent = time.monotonic()
         while not self._ended.wait(PERIOD):
             if not self.blocked:

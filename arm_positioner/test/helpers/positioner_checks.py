@@ -1,6 +1,7 @@
 """What every stream of setpoints has to satisfy."""
 
 import numpy as np
+
 from arm_positioner.limits import JointLimits
 
 

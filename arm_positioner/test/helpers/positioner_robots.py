@@ -3,6 +3,7 @@
 from math import pi
 
 import numpy as np
+
 from sl_common.kinematics import Kinematics
 
 

@@ -1,12 +1,13 @@
 """An arm and its supervisor in simulated time, without ROS."""
 
 import numpy as np
+from positioner_robots import HOME, kinematics
+
 from arm_positioner.limits import from_urdf
 from arm_positioner.planning import Planner
 from arm_positioner.singularity import SingularityThresholds
 from arm_positioner.supervisor import Supervisor
 from arm_positioner.watchdog import WatchOptions
-from positioner_robots import HOME, kinematics
 
 PERIOD = 0.008
 

@@ -1,0 +1,97 @@
+"""find_target in a process of its own, so that fitting a cloud never keeps the setpoint thread from the interpreter.
+
+The process ends when its parent does, however that ends: its input is then at an end.
+"""
+
+import logging
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from typing import Any
+
+from arm_positioner.errors import PositionerError
+from arm_positioner.target import Target, find_target
+
+_NICENESS = 5
+"""The fit gives way to the setpoints where both want the same core."""
+
+
+class TargetProcess:
+    """Calls :func:`arm_positioner.target.find_target` elsewhere; falls back to this process where that fails."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._start()
+
+    def find(self, *args: Any, **kwargs: Any) -> Target:
+        """Return what find_target returns for the same arguments, or raise what it raises."""
+        with self._lock:
+            try:
+                answer = self._ask((args, kwargs))
+            except (OSError, EOFError, pickle.UnpicklingError) as error:
+                logging.getLogger(__name__).warning("target process lost (%s): started anew", error)
+                self._start()
+                return find_target(*args, **kwargs)
+        if isinstance(answer, PositionerError):
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _start(self) -> None:
+        self.close()
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+        )
+
+    def _ask(self, call: tuple[tuple[Any, ...], dict[str, Any]]) -> Any:
+        if self._process is None:
+            raise EOFError("closed")
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        pickle.dump(call, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+        self._process.stdin.flush()
+        return pickle.load(self._process.stdout)
+
+
+def serve() -> None:
+    """Answer calls from standard input until it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is the parent's to handle
+    with suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    requests, answers = sys.stdin.buffer, os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints must not spoil the answers
+    while True:
+        try:
+            args, kwargs = pickle.load(requests)
+        except EOFError:
+            return
+        try:
+            answer: Target | PositionerError = find_target(*args, **kwargs)
+        except PositionerError as error:
+            answer = error
+        except Exception as error:  # a defect in the fit must not end the service
+            answer = PositionerError(f"the surface fit failed: {error!r}")
+        pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+
+
+if __name__ == "__main__":
+    serve()
