@@ -46,11 +46,13 @@ def benchmark(urdf_xml: str, *, base_frame: str = "base_link", flange_frame: str
     low, high = np.maximum(limits.lower, -1.5), np.minimum(limits.upper, 1.5)
     joints = [rng.uniform(low, high) for _ in range(30)]
     solver = InverseKinematics(arm, limits.lower, limits.upper)
-    follow = []
+    follow: list[Callable[[], object]] = []
     for q in joints:
         start, pose = q + rng.normal(scale=0.03, size=q.size), arm.forward(q)
         follow.append(lambda start=start, pose=pose: _quietly(lambda: solver.nearby(pose, start)))
-    search = [(lambda q=q: _quietly(lambda: solver.solve(arm.forward(q), joints[0]))) for q in joints[:10]]
+    search: list[Callable[[], object]] = [
+        (lambda q=q: _quietly(lambda: solver.solve(arm.forward(q), joints[0]))) for q in joints[:10]
+    ]
     tick = _ticks(Kinematics(urdf_xml, base_frame, flange_frame), Planner(arm, limits), limits)
     replanning = _replans(limits, joints)
     cloud, row, col = _cloud()

@@ -16,8 +16,8 @@ from typing import Any
 from arm_positioner.errors import PositionerError
 from arm_positioner.target import Target, find_target
 
-_NICENESS = 5
-"""The fit gives way to the setpoints where both want the same core."""
+_NICENESS = 0
+"""The fit gives way to the setpoints where the node has raised its own priority."""
 
 
 class TargetProcess:

@@ -217,12 +217,13 @@ def stream_targets(cell, path, rate=50.0):
 
 
 def test_a_stream_of_targets_is_followed_and_going_stale_stops_it(cell):
+    time.sleep(1.2)  # a new stream
     start = cell.arm.forward(cell.q)
-    stream_targets(cell, (start @ shift(z=-5e-4 * k) for k in range(100)))
-    stopped = cell.wait_for_code(S.STALE_TARGET)
-    assert "limit 0.25 s" in stopped
+    stream_targets(cell, (start @ shift(z=-5e-4 * k) for k in range(80)))
+    assert 0.02 < np.linalg.norm(cell.arm.forward(cell.q)[:3, 3] - start[:3, 3]) < 0.045
+    stream_targets(cell, [start @ shift(z=-0.04, x=0.15)] * 3)  # far enough not to arrive before it is stale
+    assert "limit 0.25 s" in cell.wait_for_code(S.STALE_TARGET)
     assert_clean(cell)
-    assert 0.02 < np.linalg.norm(cell.arm.forward(cell.q)[:3, 3] - start[:3, 3]) < 0.051
 
 
 def test_stop_ends_a_stream_of_targets_for_good(cell, shared):

@@ -26,7 +26,7 @@ FLANGE_FROM_CAMERA = transforms.make(transforms.rotation_exp((0.05, -0.1, 0.3)),
 def shared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
     cell = Cell("six", DOMAIN)
-    node = Positioner(DOMAIN, calibration_folder=str(folder), standoff=0.35, cloud_timeout=0.6, lost_timeout=1.5)
+    node = Positioner(DOMAIN, calibration_folder=str(folder), standoff=0.35, cloud_timeout=1.0, lost_timeout=1.5)
     cell.wait_for_code(S.IDLE, 20)
     cell.wait(lambda: "at rest" in cell.status.message, 20, "robot_description")
     yield cell, node, folder
@@ -145,7 +145,7 @@ def test_a_lost_object_holds_the_arm_then_ends_the_goal(cell):
     cell.wait(lambda: len(cell.commands) > 60, 6, "motion")
     cell.scene = None
     message = cell.wait_for_code(S.LOST_CLOUD)
-    assert "limit 0.6 s" in message
+    assert "limit 1 s" in message
     cell.wait_for_rest()
     cell.scene = board
     cell.wait_for_code(S.FOLLOWING)
