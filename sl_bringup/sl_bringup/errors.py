@@ -13,3 +13,7 @@ class DemoError(StructuredLightError):
 
 class BagError(StructuredLightError):
     """A bag is missing, unreadable or holds something else than expected."""
+
+
+class BenchmarkError(StructuredLightError):
+    """A measurement did not come about."""

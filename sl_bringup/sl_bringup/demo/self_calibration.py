@@ -44,6 +44,8 @@ def self_calibrate(session: Session, terminal: Terminal) -> Outcome:
     observer = session.observer
     terminal.step("self-calibration: the arm moves, the projector stays, no grid")
     started = time.monotonic()
+    seen = len(observer.record.dots)
+    session.wait_for(lambda: len(observer.record.dots) > seen + 3, 60.0, "decoded images at a steady rate")
 
     def live() -> str:
         progress = observer.latest.get(f"{CALIBRATOR}/progress")
