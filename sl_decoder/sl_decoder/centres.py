@@ -1,9 +1,12 @@
 """Sub-pixel centres, colours and shapes of blobs.
 
 A blob's own pixels alone are used, above a background sampled around it where no blob lies. The centre is the centroid
-under an elliptic weight of the blob's own shape that falls smoothly to zero, iterated to its fixed point; a hard threshold
-would pull it towards the pixel grid.
+under an elliptic weight of the blob's own shape that falls smoothly to zero, iterated to its fixed point; a hard
+threshold would pull it towards the pixel grid.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -26,8 +29,8 @@ class Dots:
     centre (N, 2) float32 px; colour (N, 3) float32 B, G, R above the background, mean over the core, counts;
     covariance (N, 3) float32 xx, xy, yy of the core, px^2; area (N,) int32 pixels of the core (above half of the peak);
     noise (N,) float32 uncertainty of a colour channel, counts; saturated (N,) float32 share of saturated core pixels;
-    cut (N,) bool: touches the border of the image; profile (N,) float32: logarithm of the affine-invariant radial kurtosis,
-    which tells shapes apart (ring < disc < square < cross, triangle).
+    cut (N,) bool: touches the border of the image; profile (N,) float32: logarithm of the affine-invariant radial
+    kurtosis, which tells shapes apart (ring < disc < square < cross, triangle).
     """
 
     centre: NDArray[np.float32]
@@ -44,8 +47,26 @@ class Dots:
 
 
 @compiled
-def _measure(signal, smooth, hat, label, xs, ys, start, peak, floor, circle,  # type: ignore[no-untyped-def]
-             centre, colour, covariance, area, noise, saturated, cut, profile):
+def _measure(
+    signal,
+    smooth,
+    hat,
+    label,
+    xs,
+    ys,
+    start,
+    peak,
+    floor,
+    circle,
+    centre,
+    colour,
+    covariance,
+    area,
+    noise,
+    saturated,
+    cut,
+    profile,
+):
     h, w = hat.shape
     values = hat.ravel()
     channels = signal.reshape(-1)
@@ -234,7 +255,24 @@ def measure(segments: Segments) -> Dots:
         cut=np.empty(n, np.bool_),
         profile=np.zeros(n, np.float32),
     )
-    _measure(segments.signal, segments.smooth, segments.hat, segments.label, segments.xs, segments.ys, segments.start,
-             segments.peak, segments.floor, _CIRCLE, dots.centre, dots.colour, dots.covariance, dots.area, dots.noise,
-             dots.saturated, dots.cut, dots.profile)
+    _measure(
+        segments.signal,
+        segments.smooth,
+        segments.hat,
+        segments.label,
+        segments.xs,
+        segments.ys,
+        segments.start,
+        segments.peak,
+        segments.floor,
+        _CIRCLE,
+        dots.centre,
+        dots.colour,
+        dots.covariance,
+        dots.area,
+        dots.noise,
+        dots.saturated,
+        dots.cut,
+        dots.profile,
+    )
     return dots

@@ -4,14 +4,17 @@ Paper, section III.B: "the base 6 strings of all possible codes in all 4 orienta
 step ... found using binary search of the look up table".
 """
 
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
+
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from sl_common.errors import StructuredLightError
 
 from pattern_gen import Grid, Pattern
+from sl_common.errors import StructuredLightError
 from sl_decoder.compiled import compiled
 from sl_decoder.lattice import HEXAGONAL, SQUARE, Lattice, from_axial, to_axial
 
@@ -53,7 +56,7 @@ def window_code(letters: np.ndarray, alphabet: int) -> int:
 
 
 @compiled
-def find_code(codes, code):  # type: ignore[no-untyped-def]
+def find_code(codes, code):
     """Index of the first entry of the sorted `codes` that equals `code`, or -1."""
     low = 0
     high = len(codes)
@@ -69,7 +72,9 @@ def find_code(codes, code):  # type: ignore[no-untyped-def]
 def build_codebook(pattern: Pattern) -> Codebook:
     """Code table of a pattern. Raises StructuredLightError for windows other than 3x3 (or the hexagon)."""
     if pattern.window != 3:
-        raise StructuredLightError(f"window={pattern.window}: the decoder reads 3x3 windows (or hexagons) only; use window 3")
+        raise StructuredLightError(
+            f"window={pattern.window}: the decoder reads 3x3 windows (or hexagons) only; use window 3"
+        )
     hexagonal = pattern.grid is Grid.HEXAGONAL
     lattice = HEXAGONAL if hexagonal else SQUARE
     rows, cols = pattern.rows, pattern.cols

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from sl_common.errors import InvalidInputError
 from sl_common.files import read_yaml
 
@@ -19,7 +20,10 @@ class Colours:
 
 
 def load_colours(path: str | Path) -> Colours:
-    """Read colours.yaml: the list `letters`, each with `camera_rgb: [r, g, b]`. Raises InvalidInputError with the reason."""
+    """Read colours.yaml: the list `letters`, each with `camera_rgb: [r, g, b]`.
+
+    Raises InvalidInputError with the reason.
+    """
     data = read_yaml(path)
     entries = data.get("letters")
     if not isinstance(entries, list) or not entries:

@@ -27,12 +27,14 @@ def _fixed(points: NDArray[np.float32], scale: int) -> NDArray[np.int32]:
     return np.round(((points + 0.5) * scale - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 
-def draw(bgr: NDArray[np.uint8], decoded: Decoded, pattern: Pattern, *, scale: int = 2, label_every: int = 4) -> NDArray[np.uint8]:
+def draw(
+    bgr: NDArray[np.uint8], decoded: Decoded, pattern: Pattern, *, scale: int = 2, label_every: int = 4
+) -> NDArray[np.uint8]:
     """Overlay (H * scale, W * scale, 3) uint8 BGR of a decoded image.
 
-    Lattice links between decoded dots are thin lines, every decoded dot a ring in its letter's colour (a square when its
-    letter was corrected), every `label_every`-th row and column is labelled "row,col"; undecoded blobs are crosses in a
-    colour per reason, with the legend and the counts below.
+    Lattice links between decoded dots are thin lines, every decoded dot a ring in its letter's colour (a square when
+    its letter was corrected), every `label_every`-th row and column is labelled "row,col"; undecoded blobs are
+    crosses in a colour per reason, with the legend and the counts below.
     """
     canvas = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     canvas = (canvas * 0.6).astype(np.uint8)
@@ -78,7 +80,9 @@ def _spacing(decoded: Decoded, index: NDArray[np.int32]) -> float:
 
 def _legend(width: int, decoded: Decoded) -> NDArray[np.uint8]:
     line = 18
-    entries = [(f"{len(decoded)} decoded of {decoded.blobs} blobs, {1e3 * decoded.decode_time:.1f} ms", (255, 255, 255))]
+    entries = [
+        (f"{len(decoded)} decoded of {decoded.blobs} blobs, {1e3 * decoded.decode_time:.1f} ms", (255, 255, 255))
+    ]
     if decoded.mirrored:
         entries.append(("seen in a mirror: refused", (128, 128, 255)))
     number = np.bincount(decoded.inspection.reason, minlength=len(Reason))

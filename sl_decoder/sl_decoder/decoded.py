@@ -64,9 +64,9 @@ class Inspection:
 class Decoded:
     """Correspondences of one image, N entries each, sorted by row, then column.
 
-    row, col (N,) int32 of the pattern; camera (N, 2) float32 dot centres in the raw image [px]; projector (N, 2) float32
-    spot centres in the projected image [px]; confidence (N,) float32 probability that row and col are right; corrected
-    (N,) uint8 1 where the letter read is not the map's; track_id (N,) int32, -1 without tracking.
+    row, col (N,) int32 of the pattern; camera (N, 2) float32 dot centres in the raw image [px]; projector (N, 2)
+    float32 spot centres in the projected image [px]; confidence (N,) float32 probability that row and col are right;
+    corrected (N,) uint8 1 where the letter read is not the map's; track_id (N,) int32, -1 without tracking.
 
     blobs, labelled, inconsistent, rejected: counts as in the message; decode_time [s]; mirrored: the image shows the
     pattern in a mirror, which is refused; tracked: found around the prediction, not by full decoding.

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.errors import StructuredLightError
 
 from pattern_gen import Pattern
+from sl_common.errors import StructuredLightError
 from sl_decoder import centres, letters, segmentation
 from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
@@ -47,14 +47,17 @@ class Decoder:
     Raises StructuredLightError for a pattern that it cannot read, or colours that do not fit the pattern.
     """
 
-    def __init__(self, pattern: Pattern, *, options: DecoderOptions | None = None, colours: Colours | None = None) -> None:
+    def __init__(
+        self, pattern: Pattern, *, options: DecoderOptions | None = None, colours: Colours | None = None
+    ) -> None:
         self.pattern = pattern
         self.options = options or DecoderOptions()
         self.codebook = build_codebook(pattern)
         self.alphabet = letters.read_alphabet(pattern)
         if colours is not None and len(colours.rgb) != pattern.alphabet:
             raise StructuredLightError(
-                f"colours.yaml has {len(colours.rgb)} letters, the pattern {pattern.alphabet}: calibrate with this pattern"
+                f"colours.yaml has {len(colours.rgb)} letters, the pattern {pattern.alphabet}: "
+                "calibrate with this pattern"
             )
         self._calibrated = None if colours is None else colours.rgb[:, ::-1].copy()
         self._projector = pattern.centers.astype(np.float32)
@@ -71,8 +74,8 @@ class Decoder:
     def interpret(self, bgr: NDArray[np.uint8]) -> Interpretation:
         """All that was found out about an image.
 
-        The background filter must be wider than the dots; where the usual width explains little of what is seen, a wider
-        one is tried."""
+        The background filter must be wider than the dots; where the usual width explains little of what is seen, a
+        wider one is tried."""
         usual = self.options.kernel or max(LEAST_KERNEL, round(bgr.shape[1] * KERNEL_SHARE))
         best = self._interpret_with(bgr, usual)
         if not self.options.kernel and best.explained() < WELL_EXPLAINED:

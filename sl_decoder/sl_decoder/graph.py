@@ -1,13 +1,17 @@
 """Neighbour graph: which dots lie next to each other on the lattice, found from positions and shapes alone.
 
-The footprints of the dots are round in the projector, so their shape in the image tells the local affine map of the lattice
-too: in the metric of the footprints the lattice is (nearly) regular however oblique the view. There, each dot searches the
-basis (a, b) of its surroundings; links that both ends agree on are followed to connected components with integer lattice
-coordinates (paper, section III.B: nearest neighbours, then diagonals from the prediction, then consistency).
+The footprints of the dots are round in the projector, so their shape in the image tells the local affine map of the
+lattice too: in the metric of the footprints the lattice is (nearly) regular however oblique the view. There, each dot
+searches the basis (a, b) of its surroundings; links that both ends agree on are followed to connected components with
+integer lattice coordinates (paper, section III.B: nearest neighbours, then diagonals from the prediction, then
+consistency).
 
 Directions are numbered counter to nothing but the image axes: from x towards y. The same order holds in the projector,
 so that a mirrored pattern never matches.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -35,8 +39,11 @@ class Graph:
 
 
 @compiled
-def nearest(points, k):  # type: ignore[no-untyped-def]
-    """Indices (N, k) int32 of the k nearest other points of points (N, 2) float32, by distance, -1 where there are fewer."""
+def nearest(points, k):
+    """Indices (N, k) int32 of the k nearest other points of points (N, 2) float32, by distance.
+
+    -1 where there are fewer.
+    """
     n = len(points)
     out = np.full((n, k), -1, np.int32)
     if n < 2:
@@ -121,8 +128,10 @@ def nearest(points, k):  # type: ignore[no-untyped-def]
             first = False
             if found == k:
                 # nothing outside of what was searched can be nearer than its border
-                gap = min(min(px - x0 - (cx - ring) * cell, x0 + (cx + ring + 1) * cell - px),
-                          min(py - y0 - (cy - ring) * cell, y0 + (cy + ring + 1) * cell - py))
+                gap = min(
+                    min(px - x0 - (cx - ring) * cell, x0 + (cx + ring + 1) * cell - px),
+                    min(py - y0 - (cy - ring) * cell, y0 + (cy + ring + 1) * cell - py),
+                )
                 if gap * gap >= worst:
                     break
             ring += 1
@@ -132,7 +141,7 @@ def nearest(points, k):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def smooth_shapes(covariance, near):  # type: ignore[no-untyped-def]
+def smooth_shapes(covariance, near):
     """Mean footprint (N, 3) over each dot and its eight nearest, each normalised to unit area first."""
     n = len(covariance)
     out = np.empty((n, 3), np.float32)
@@ -155,7 +164,7 @@ def smooth_shapes(covariance, near):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def local_bases(points, shape, near, directions, tolerance, links, quality):  # type: ignore[no-untyped-def]
+def local_bases(points, shape, near, directions, tolerance, links, quality):
     """Lattice neighbours of every dot: links (N, D) int32, quality (N,) float32 (sum of squared errors, inf none)."""
     n, k = near.shape
     dx = np.empty(k, np.float32)
@@ -259,13 +268,19 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):  # 
                     quality[i] = score
                     for d in range(directions):
                         links[i, d] = -1 if chosen[d] < 0 else order[chosen[d]]
-                if missing == 0 and ia == 0 and lb2 < 2 * la2 and error < np.float32(0.5) * limit2 and cosine > np.float32(0.95):
+                if (
+                    missing == 0
+                    and ia == 0
+                    and lb2 < 2 * la2
+                    and error < np.float32(0.5) * limit2
+                    and cosine > np.float32(0.95)
+                ):
                     done = True
                     break
 
 
 @compiled
-def components(links, quality, steps, component, frame, u, v):  # type: ignore[no-untyped-def]
+def components(links, quality, steps, component, frame, u, v):
     """Follow links from the best dots on; returns the number of components.
 
     A link is followed where both ends agree (or where the far end has no basis of its own); a dot that is reached

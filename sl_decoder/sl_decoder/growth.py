@@ -1,9 +1,12 @@
 """Growth over the map: dots next to decoded ones are predicted, looked for and claimed.
 
-Works on the map's own lattice: claim[v, u] is the dot that holds an element of the map, -1 none. A free element next to held
-ones is predicted from them; the nearest free dot is claimed when it fits in place and letter. What was claimed is judged
-afterwards (judgement.py), together with its neighbours.
+Works on the map's own lattice: claim[v, u] is the dot that holds an element of the map, -1 none. A free element next
+to held ones is predicted from them; the nearest free dot is claimed when it fits in place and letter. What was
+claimed is judged afterwards (judgement.py), together with its neighbours.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ FULL, INTERPOLATED, EXTRAPOLATED, UNPREDICTED = 0, 1, 2, 3
 
 
 @compiled
-def predict(claim, centre, v, u, steps):  # type: ignore[no-untyped-def]
+def predict(claim, centre, v, u, steps):
     """Position of map element (u, v) from the held elements around it.
 
     With its whole ring: the biharmonic mean, exact on cubic surfaces. Else the mean of what there is: parallelograms at
@@ -35,10 +38,12 @@ def predict(claim, centre, v, u, steps):  # type: ignore[no-untyped-def]
         if min(min(min(i0, i1), min(i2, i3)), min(min(i5, i6), min(i7, i8))) >= 0:
             h, q = np.float32(0.5), np.float32(0.25)
             s6 = np.float32(1 / 6)
-            x = (h * (centre[i1, 0] + centre[i3, 0] + centre[i5, 0] + centre[i7, 0])
-                 - q * (centre[i0, 0] + centre[i2, 0] + centre[i6, 0] + centre[i8, 0]))
-            y = (h * (centre[i1, 1] + centre[i3, 1] + centre[i5, 1] + centre[i7, 1])
-                 - q * (centre[i0, 1] + centre[i2, 1] + centre[i6, 1] + centre[i8, 1]))
+            x = h * (centre[i1, 0] + centre[i3, 0] + centre[i5, 0] + centre[i7, 0]) - q * (
+                centre[i0, 0] + centre[i2, 0] + centre[i6, 0] + centre[i8, 0]
+            )
+            y = h * (centre[i1, 1] + centre[i3, 1] + centre[i5, 1] + centre[i7, 1]) - q * (
+                centre[i0, 1] + centre[i2, 1] + centre[i6, 1] + centre[i8, 1]
+            )
             fax = s6 * (centre[i2, 0] - centre[i0, 0] + centre[i5, 0] - centre[i3, 0] + centre[i8, 0] - centre[i6, 0])
             fay = s6 * (centre[i2, 1] - centre[i0, 1] + centre[i5, 1] - centre[i3, 1] + centre[i8, 1] - centre[i6, 1])
             fbx = s6 * (centre[i6, 0] - centre[i0, 0] + centre[i7, 0] - centre[i1, 0] + centre[i8, 0] - centre[i2, 0])
@@ -164,7 +169,7 @@ def predict(claim, centre, v, u, steps):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lattice_error(ex, ey, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+def lattice_error(ex, ey, ax, ay, bx, by):
     """Length of an image vector in units of the lattice basis (a, b), inf for a degenerate or mirrored basis."""
     det = ax * by - ay * bx
     if det <= 1e-3:
@@ -175,7 +180,7 @@ def lattice_error(ex, ey, ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map_letters, steps, reach):  # type: ignore[no-untyped-def]
+def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map_letters, steps, reach):
     """Claim free dots around the held ones until nothing fits any more; returns how many were added.
 
     banned (N,): an element that a dot may not hold again, because it was judged wrong there.
@@ -235,8 +240,14 @@ def grow(claim, holder_u, holder_v, banned_u, banned_v, centre, near, log_p, map
         added += 1
         for d in range(directions):
             vv, uu = v + steps[d, 1], u + steps[d, 0]
-            if (0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] < 0 and map_letters[vv, uu] >= 0
-                    and not waiting[vv, uu] and tail < len(queue_v)):
+            if (
+                0 <= vv < rows
+                and 0 <= uu < cols
+                and claim[vv, uu] < 0
+                and map_letters[vv, uu] >= 0
+                and not waiting[vv, uu]
+                and tail < len(queue_v)
+            ):
                 queue_v[tail] = vv
                 queue_u[tail] = uu
                 waiting[vv, uu] = True

@@ -1,7 +1,7 @@
 """Interpretation of one image's dots: graph, letters, placement in the map, growth, judgement, recovery.
 
-Holds the arrays that the stages share. Per dot: N rows of which the first `n` are used; dots that are recovered where the
-map expects them are appended. Per map element: (V, U) arrays in axial coordinates, `claim` holds the dot of each.
+Holds the arrays that the stages share. Per dot: N rows of which the first `n` are used; dots that are recovered where
+the map expects them are appended. Per map element: (V, U) arrays in axial coordinates, `claim` holds the dot of each.
 """
 
 from __future__ import annotations
@@ -88,13 +88,14 @@ class Interpretation:
         self.links = np.full((n, self.book.lattice.directions), -1, np.int32)
         self.at = np.zeros(n, np.int32)
         self.conflicts = np.zeros(n, np.bool_)
+        self.cut = np.zeros(n, np.bool_)
         self.banned_u[:] = -1
         self.banned_v[:] = -1
 
     def read_letters(self, first: NDArray[np.float64] | None = None) -> None:
         """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
         n = self.n
-        letter, self.model, signal, field, variance = letters.initial_letters(
+        _, self.model, signal, field, variance = letters.initial_letters(
             self.alphabet, self.centre[:n], self.colour[:n], self.profile, self.near, self.at >= 0, first
         )
         self.signal[:n], self.field[:n], self.variance[:n] = signal, field, variance
@@ -105,8 +106,16 @@ class Interpretation:
         n, model = self.n, self.model
         assert model is not None
         letters.all_evidence(
-            self.colour[:n], self.profile, self.signal[:n], self.field[:n], self.variance[:n], self.noise[:n],
-            self.alphabet.group, *model.arrays(), self.evidence[:n], self.letter[:n],
+            self.colour[:n],
+            self.profile,
+            self.signal[:n],
+            self.field[:n],
+            self.variance[:n],
+            self.noise[:n],
+            self.alphabet.group,
+            *model.arrays(),
+            self.evidence[:n],
+            self.letter[:n],
         )
         if self.mirrored:
             self.evidence[:n][self.mirrored_dots] = NOT_OURS
@@ -114,9 +123,7 @@ class Interpretation:
     def correct_letters(self) -> None:
         """Replace the letters that were read by those that the paper's voting elects."""
         book = self.book
-        score = voting.vote(
-            self.cell, self.at, self.width, self.letter, book.lattice.window, book.alphabet, book.codes
-        )
+        score = voting.vote(self.cell, self.at, self.width, self.letter, book.lattice.window, book.alphabet, book.codes)
         self.letter[: self.n] = voting.elect(score, self.letter[: self.n])
 
     def place(self, first_evidence: float) -> int:
@@ -127,14 +134,41 @@ class Interpretation:
         self.holder_u[:] = -1
         self.holder_v[:] = -1
         votes, self.code = placement.window_votes(
-            self.cell, self.at, self.width, self.u, self.v, self.letter, lattice.window, book.alphabet, book.codes,
-            book.values, lattice.turn,
+            self.cell,
+            self.at,
+            self.width,
+            self.u,
+            self.v,
+            self.letter,
+            lattice.window,
+            book.alphabet,
+            book.codes,
+            book.values,
+            lattice.turn,
         )
         found, of = placement.rank_placements(votes, self.component, 1)
         self.accepted, _ = placement.place(
-            found, of, votes, self.cell, self.at, self.width, self.component, self.u, self.v, self.evidence, book.letters,
-            lattice.window, lattice.turn, placement.COUPLING, placement.SWEEPS, first_evidence, NEXT_EVIDENCE,
-            PLACED_BELIEF, self.claim, self.holder_u, self.holder_v,
+            found,
+            of,
+            votes,
+            self.cell,
+            self.at,
+            self.width,
+            self.component,
+            self.u,
+            self.v,
+            self.evidence,
+            book.letters,
+            lattice.window,
+            lattice.turn,
+            placement.COUPLING,
+            placement.SWEEPS,
+            first_evidence,
+            NEXT_EVIDENCE,
+            PLACED_BELIEF,
+            self.claim,
+            self.holder_u,
+            self.holder_v,
         )
         self.banned_u[:] = -1
         self.banned_v[:] = -1
@@ -153,7 +187,17 @@ class Interpretation:
         best = []
         for window, u, v in ((lattice.window, self.u, self.v), (np.stack([du, dv], 1).astype(np.int32), mu, mv)):
             votes, _ = placement.window_votes(
-                self.cell, self.at, self.width, u, v, self.letter, window, book.alphabet, book.codes, book.values, lattice.turn
+                self.cell,
+                self.at,
+                self.width,
+                u,
+                v,
+                self.letter,
+                window,
+                book.alphabet,
+                book.codes,
+                book.values,
+                lattice.turn,
             )
             found, _ = placement.rank_placements(votes, self.component, 1)
             most = np.zeros(int(self.component.max()) + 1, np.int64)
@@ -174,8 +218,17 @@ class Interpretation:
         """Grow from the claims over the segmented dots, judge, release what is below `limit`, until it is stable."""
         for turn in range(GROWTHS):
             added = growth.grow(
-                self.claim, self.holder_u, self.holder_v, self.banned_u, self.banned_v, self.centre, self.near,
-                self.evidence, self.book.letters, self.book.lattice.steps, growth.REACH,
+                self.claim,
+                self.holder_u,
+                self.holder_v,
+                self.banned_u,
+                self.banned_v,
+                self.centre,
+                self.near,
+                self.evidence,
+                self.book.letters,
+                self.book.lattice.steps,
+                growth.REACH,
             )
             if turn and not added:
                 return
@@ -186,8 +239,16 @@ class Interpretation:
         lattice = self.book.lattice
         for _ in range(JUDGEMENTS):
             judgement.gather(
-                self.claim, self.centre, self.area, self.evidence, self.book.letters, lattice.steps, self.letter_evidence,
-                self.error, self.kind, self.size,
+                self.claim,
+                self.centre,
+                self.area,
+                self.evidence,
+                self.book.letters,
+                lattice.steps,
+                self.letter_evidence,
+                self.error,
+                self.kind,
+                self.size,
             )
             judgement.own_evidence(self.claim, self.letter_evidence, self.error, self.kind, self.size, self.own)
             judgement.solve(self.claim, self.own, lattice.window, self.belief)
@@ -226,13 +287,23 @@ class Interpretation:
         n, model = self.n, self.model
         assert model is not None
         held = self.holder_v[:n] >= 0
-        known = np.where(held, self.book.letters[self.holder_v[:n], self.holder_u[:n]], self.letter[:n]).astype(np.int32)
+        known = np.where(held, self.book.letters[self.holder_v[:n], self.holder_u[:n]], self.letter[:n]).astype(
+            np.int32
+        )
         self.signal[:n] = letters.log_signal(self.colour[:n], model.direction, self.alphabet.group[known])
         letters.local_field(
             self.centre[:n], self.signal[:n], self.near, known, model.level, held, self.field[:n], self.variance[:n]
         )
         self.model = letters.fit_model(
-            self.alphabet, self.colour[:n], self.profile, self.signal[:n], self.field[:n], known, held, model.direction, model.level
+            self.alphabet,
+            self.colour[:n],
+            self.profile,
+            self.signal[:n],
+            self.field[:n],
+            known,
+            held,
+            model.direction,
+            model.level,
         )
         self.weigh_letters()
 
@@ -245,16 +316,45 @@ class Interpretation:
         assert model is not None
         if offset is None:
             offset = recovery.matched_offset(
-                self.claim, smooth, self.centre, self.covariance, self.signal, book.letters, lattice.steps,
-                self.alphabet.group, model.direction, CIRCLE, 200,
+                self.claim,
+                smooth,
+                self.centre,
+                self.covariance,
+                self.signal,
+                book.letters,
+                lattice.steps,
+                self.alphabet.group,
+                model.direction,
+                CIRCLE,
+                200,
             )
         tried = np.zeros(self.claim.shape, np.bool_)
         before = self.n
         self.n = recovery.recover(
-            self.claim, self.holder_u, self.holder_v, tried, self.n, smooth, self.centre, self.colour, self.covariance,
-            self.area, self.noise, self.saturated, self.signal, self.evidence, self.letter, book.letters, lattice.steps,
-            lattice.window, self.alphabet.group, *model.arrays(), offset,
-            CIRCLE, recovery.REACH, RECOVERED_LEAST,
+            self.claim,
+            self.holder_u,
+            self.holder_v,
+            tried,
+            self.n,
+            smooth,
+            self.centre,
+            self.colour,
+            self.covariance,
+            self.area,
+            self.noise,
+            self.saturated,
+            self.signal,
+            self.evidence,
+            self.letter,
+            book.letters,
+            lattice.steps,
+            lattice.window,
+            self.alphabet.group,
+            *model.arrays(),
+            offset,
+            CIRCLE,
+            recovery.REACH,
+            RECOVERED_LEAST,
         )
         if self.n > before:
             self.judge(limit)

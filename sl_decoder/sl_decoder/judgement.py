@@ -1,10 +1,13 @@
 """Judgement of claimed dots: letter, place, size and neighbours, added up to the log-odds of being right.
 
-Each piece of evidence is a log-likelihood ratio between "the dot is this element" and "it is something else that happened
-to lie here" (another surface across a depth edge, a highlight, half a dot at an edge). Support of the neighbours counts
-along the axes through the dot: between two sound neighbours a dot is almost surely right, beyond the last sound one it has
-to convince by itself. Beliefs and support are iterated (mean field).
+Each piece of evidence is a log-likelihood ratio between "the dot is this element" and "it is something else that
+happened to lie here" (another surface across a depth edge, a highlight, half a dot at an edge). Support of the
+neighbours counts along the axes through the dot: between two sound neighbours a dot is almost surely right, beyond
+the last sound one it has to convince by itself. Beliefs and support are iterated (mean field).
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ SWEEPS = 6
 
 
 @compiled
-def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_of, size):  # type: ignore[no-untyped-def]
+def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_of, size):
     """Evidence of all held elements, each (V, U): letter log-likelihood ratio, position error [lattice units], kind of
     prediction, size: log of the core's area per lattice cell, relative to the neighbours'."""
     rows, cols = claim.shape
@@ -64,7 +67,7 @@ def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_o
 
 
 @compiled
-def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-untyped-def]
+def own_evidence(claim, letter, error, kind_of, size, own):
     """Log-odds (V, U) of each held element by itself."""
     rows, cols = claim.shape
     histogram = np.zeros(200, np.int32)
@@ -112,10 +115,11 @@ def own_evidence(claim, letter, error, kind_of, size, own):  # type: ignore[no-u
 
 
 @compiled
-def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):  # type: ignore[no-untyped-def]
+def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):
     """Release held elements below `least` that are the worst among their neighbours; returns how many.
 
-    Only the worst: a wrong dot spoils the predictions around it, and its neighbours deserve another judgement without it.
+    Only the worst: a wrong dot spoils the predictions around it, and its neighbours deserve another judgement without
+    it.
     """
     rows, cols = claim.shape
     released = 0
@@ -144,8 +148,11 @@ def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):
 
 
 @compiled
-def solve(claim, own, window, belief):  # type: ignore[no-untyped-def]
-    """Beliefs (V, U): log-odds that each held element is right, own evidence and neighbours'; -20 where none is held."""
+def solve(claim, own, window, belief):
+    """Beliefs (V, U): log-odds that each held element is right, own evidence and neighbours'.
+
+    -20 where none is held.
+    """
     rows, cols = claim.shape
     q = np.zeros((rows, cols), np.float32)
     half = (len(window) - 1) // 2

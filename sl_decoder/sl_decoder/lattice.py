@@ -1,7 +1,8 @@
 """The two grids as integer lattices: directions, windows and rotations in axial coordinates (u, v).
 
-Square: u = column, v = row. Hexagonal: u = column, v = row - (column - (column odd)) / 2, so that the six neighbours are
-(1,0), (0,1), (-1,1), (-1,0), (0,-1), (1,-1). Directions are ordered by angle from the projector's u towards its v axis.
+Square: u = column, v = row. Hexagonal: u = column, v = row - (column - (column odd)) / 2, so that the six neighbours
+are (1,0), (0,1), (-1,1), (-1,0), (0,-1), (1,-1). Directions are ordered by angle from the projector's u towards its v
+axis.
 """
 
 from __future__ import annotations

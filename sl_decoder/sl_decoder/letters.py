@@ -1,19 +1,23 @@
 """Letters of dots: hue groups and intensity levels, learnt from the image itself.
 
-No hue or intensity limit is fixed. The hue groups start from the pattern's colours under the gains seen in the image and
-settle on the dots (k-means of colour directions). Intensities only mean something relative to the surroundings: the
-logarithm of a dot's signal is its letter's level plus a field (albedo, distance, shading, vignetting) that neighbours share;
-levels and field are estimated in turn. Once dots are decoded the same model is fitted to their known letters.
+No hue or intensity limit is fixed. The hue groups start from the pattern's colours under the gains seen in the image
+and settle on the dots (k-means of colour directions). Intensities only mean something relative to the surroundings: the
+logarithm of a dot's signal is its letter's level plus a field (albedo, distance, shading, vignetting) that neighbours
+share; levels and field are estimated in turn. Once dots are decoded the same model is fitted to their known letters.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from pattern_gen.rendering import coverage
 
 from pattern_gen import Pattern
+from pattern_gen.rendering import coverage
 from sl_decoder.compiled import compiled
 
 SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
@@ -29,9 +33,9 @@ RIDGE = 0.6  # damping of the field's slopes
 class Alphabet:
     """What the pattern says of its A letters.
 
-    colour (A, 3) float64 B, G, R drive values 0..1; hue (A,) and shape (A,) index; group (A,) int32 hue and shape together;
-    direction (G, 3) unit colour of a group; level (A,) float64 logarithm of the drive relative to the group's brightest;
-    share (A,) of the map's dots; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
+    colour (A, 3) float64 B, G, R drive values 0..1; hue (A,) and shape (A,) index; group (A,) int32 hue and shape
+    together; direction (G, 3) unit colour of a group; level (A,) float64 logarithm of the drive relative to the
+    group's brightest; share (A,) of the map's dots; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
     """
 
     colour: np.ndarray
@@ -98,15 +102,23 @@ class LetterModel:
     profile_spread: np.ndarray
     level: np.ndarray
     level_spread: np.ndarray
-    stray: np.float32 = np.float32(FIRST_STRAY)
+    stray: float = FIRST_STRAY
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def arrays(self) -> tuple[Any, ...]:
         """The model as the compiled functions take it."""
-        return (self.direction, self.spread, self.profile, self.profile_spread, self.level, self.level_spread, self.stray)
+        return (
+            self.direction,
+            self.spread,
+            self.profile,
+            self.profile_spread,
+            self.level,
+            self.level_spread,
+            np.float32(self.stray),
+        )
 
 
 @compiled
-def quantile(values, share):  # type: ignore[no-untyped-def]
+def quantile(values, share):
     """Quantile of values (N,) float32 that are sorted in place; 0 for none."""
     n = len(values)
     if n == 0:
@@ -121,7 +133,7 @@ def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
     for c in range(3):
         order = np.argsort(alphabet.colour[:, c])
         cumulative = np.cumsum(alphabet.share[order])
-        reference = alphabet.colour[order[min(np.searchsorted(cumulative, 0.9), len(order) - 1)], c]
+        reference = alphabet.colour[order[min(int(np.searchsorted(cumulative, 0.9)), len(order) - 1)], c]
         if reference > 0.1:
             gains[c] = max(float(quantile(colour[:, c].copy(), 0.9)), 1e-3) / reference
     seen = gains > 0
@@ -130,7 +142,7 @@ def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _assign_groups(colour, direction, group):  # type: ignore[no-untyped-def]
+def _assign_groups(colour, direction, group):
     """Nearest direction of each dot; returns sums of unit colours per group."""
     n = len(colour)
     g = len(direction)
@@ -155,7 +167,7 @@ def _assign_groups(colour, direction, group):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def local_field(centre, signal, near, letter, level, use, field, field_variance):  # type: ignore[no-untyped-def]
+def local_field(centre, signal, near, letter, level, use, field, field_variance):
     """Field (N,) at each dot: plane through its neighbours' log signals minus their letters' levels, and its variance.
 
     Robust (weights fall off with the distance from the median, so that albedo edges do not mix) and damped (a ridge on
@@ -231,7 +243,7 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
 
 
 @compiled
-def _neighbour_mean(values, near, use, out):  # type: ignore[no-untyped-def]
+def _neighbour_mean(values, near, use, out):
     for i in range(len(values)):
         total = np.float32(0)
         m = 0
@@ -246,7 +258,7 @@ def _neighbour_mean(values, near, use, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def first_levels(signal, group, near, use, letter_group, ranked, share, groups, level, letter, field):  # type: ignore[no-untyped-def]
+def first_levels(signal, group, near, use, letter_group, ranked, share, groups, level, letter, field):
     """Split each hue group into its intensities.
 
     Deviations from the local mean are ranked and cut in the map's shares, then assignment, levels and field are
@@ -312,8 +324,21 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
 
 
 @compiled
-def _fit(colour, profile, signal, field, letter, use, letter_group, direction, spread, profile_mean, profile_spread,  # type: ignore[no-untyped-def]
-         level, level_spread):
+def _fit(
+    colour,
+    profile,
+    signal,
+    field,
+    letter,
+    use,
+    letter_group,
+    direction,
+    spread,
+    profile_mean,
+    profile_spread,
+    level,
+    level_spread,
+):
     """Robust directions, levels and spreads, in place; returns the share of dots off the field."""
     n = len(signal)
     pool = np.empty(n, np.float32)
@@ -388,13 +413,30 @@ def _fit(colour, profile, signal, field, letter, use, letter_group, direction, s
 
 
 @compiled
-def letter_evidence(p, q, r, profile, signal, field, field_variance, noise, letter_group, direction, spread, profile_mean,  # type: ignore[no-untyped-def]
-                    profile_spread, level, level_spread, stray, out):
+def letter_evidence(
+    p,
+    q,
+    r,
+    profile,
+    signal,
+    field,
+    field_variance,
+    noise,
+    letter_group,
+    direction,
+    spread,
+    profile_mean,
+    profile_spread,
+    level,
+    level_spread,
+    stray,
+    out,
+):
     """Evidence (A,) for each letter of one dot: log-likelihood ratio against a dot that happens to lie there.
 
-    p, q, r: its B, G, R above the background; profile: its radial kurtosis, nan where not measured. stray: share of true dots whose intensity does not follow the field (next to
-    albedo edges, in highlights); their hue still counts. False dots stray half of the time. A dot that fits no hue speaks
-    against every letter. Returns the best letter.
+    p, q, r: its B, G, R above the background; profile: its radial kurtosis, nan where not measured. stray: share of
+    true dots whose intensity does not follow the field (next to albedo edges, in highlights); their hue still counts.
+    False dots stray half of the time. A dot that fits no hue speaks against every letter. Returns the best letter.
     """
     count = len(level)
     norm = max(np.sqrt(p * p + q * q + r * r), np.float32(1e-6))
@@ -430,17 +472,49 @@ def letter_evidence(p, q, r, profile, signal, field, field_variance, noise, lett
 
 
 @compiled
-def all_evidence(colour, profile, signal, field, field_variance, noise, letter_group, direction, spread, profile_mean,  # type: ignore[no-untyped-def]
-                 profile_spread, level, level_spread, stray, out, letter):
+def all_evidence(
+    colour,
+    profile,
+    signal,
+    field,
+    field_variance,
+    noise,
+    letter_group,
+    direction,
+    spread,
+    profile_mean,
+    profile_spread,
+    level,
+    level_spread,
+    stray,
+    out,
+    letter,
+):
     """`letter_evidence` of N dots: writes the evidence (N, A) and the best letter (N,)."""
     for i in range(len(signal)):
-        letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], profile[i], signal[i], field[i],
-                                    field_variance[i], noise[i], letter_group, direction, spread, profile_mean,
-                                    profile_spread, level, level_spread, stray, out[i])
+        letter[i] = letter_evidence(
+            colour[i, 0],
+            colour[i, 1],
+            colour[i, 2],
+            profile[i],
+            signal[i],
+            field[i],
+            field_variance[i],
+            noise[i],
+            letter_group,
+            direction,
+            spread,
+            profile_mean,
+            profile_spread,
+            level,
+            level_spread,
+            stray,
+            out[i],
+        )
 
 
 @compiled
-def log_signal(colour, direction, group):  # type: ignore[no-untyped-def]
+def log_signal(colour, direction, group):
     """Logarithm (N,) of each dot's signal along its group's colour direction."""
     out = np.empty(len(colour), np.float32)
     for i in range(len(colour)):
@@ -451,7 +525,7 @@ def log_signal(colour, direction, group):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def split_shapes(profile, use, share, out):  # type: ignore[no-untyped-def]
+def split_shapes(profile, use, share, out):
     """Shape (N,) of each dot from its radial kurtosis: ranks cut in the map's shares, then k-means in one dimension."""
     shapes = len(share)
     values = profile[use].copy()
@@ -489,11 +563,12 @@ def initial_letters(
     use: np.ndarray,
     first: np.ndarray | None = None,
 ) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray, np.ndarray]:
-    """First reading of all dots: letters (N,) int32, the model, log signal (N,), its field (N,) and the field's variance.
+    """First reading of all dots: letters (N,) int32, the model, log signal (N,), its field (N,) and the field's
+    variance.
 
-    colour (N, 3) float32; profile (N,) radial kurtosis; near (N, K) int32 neighbours; use (N,) bool: dots that look like
-    part of a lattice; first (A, 3) B G R of the letters from a colour calibration, None: the pattern's own under the gains
-    of the image.
+    colour (N, 3) float32; profile (N,) radial kurtosis; near (N, K) int32 neighbours; use (N,) bool: dots that look
+    like part of a lattice; first (A, 3) B G R of the letters from a colour calibration, None: the pattern's own under
+    the gains of the image.
     """
     chosen = colour[use] if use.sum() >= 9 else colour
     letter_colour = alphabet.colour * channel_gains(alphabet, chosen) if first is None else first
@@ -524,9 +599,7 @@ def initial_letters(
     field = np.empty(n, np.float32)
     variance = np.empty(n, np.float32)
     ranked = np.argsort(alphabet.level, kind="stable")
-    first_levels(
-        signal, group, near, use, alphabet.group, ranked, alphabet.share, hues * shapes, level, letter, field
-    )
+    first_levels(signal, group, near, use, alphabet.group, ranked, alphabet.share, hues * shapes, level, letter, field)
     local_field(centre, signal, near, letter, level, use, field, variance)
     model = fit_model(alphabet, colour, profile, signal, field, letter, use, direction, level)
     return letter, model, signal, field, variance
@@ -550,8 +623,21 @@ def fit_model(
     profile_mean = np.zeros(groups, np.float32)
     profile_spread = np.full(groups, 1e3, np.float32)
     level_spread = np.full(len(level), 0.2, np.float32)
-    stray = _fit(colour, profile, signal, field, letter, use, alphabet.group, direction, spread, profile_mean,
-                 profile_spread, level, level_spread)
+    stray = _fit(
+        colour,
+        profile,
+        signal,
+        field,
+        letter,
+        use,
+        alphabet.group,
+        direction,
+        spread,
+        profile_mean,
+        profile_spread,
+        level,
+        level_spread,
+    )
     if len(alphabet.profiles) < 2:
         profile_spread[:] = 1e3  # one shape only: nothing to tell apart
-    return LetterModel(direction, spread, profile_mean, profile_spread, level, level_spread, np.float32(stray))
+    return LetterModel(direction, spread, profile_mean, profile_spread, level, level_spread, float(stray))

@@ -4,6 +4,9 @@ Knowing where to look, what shape and which mixture of channels to expect lets a
 out of the noise by itself, that merged with its neighbour, or that merely moved since the last image.
 """
 
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
+
 from __future__ import annotations
 
 import numpy as np
@@ -19,12 +22,12 @@ CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 
 @compiled
-def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, circle, out):  # type: ignore[no-untyped-def]
+def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, circle, out):
     """Find and measure the dot near (px, py).
 
     smooth (H, W, 3) uint8; cxx, cxy, cyy expected core covariance [px^2]; mix (3,) expected share of the channels; a, b
-    local lattice basis [px], in which `reach` bounds the search; circle (S, 2). out (7,) float32 gets x, y, B, G, R above
-    the background, their noise, and the share of saturated core pixels. Returns False where no dot stands out.
+    local lattice basis [px], in which `reach` bounds the search; circle (S, 2). out (7,) float32 gets x, y, B, G, R
+    above the background, their noise, and the share of saturated core pixels. Returns False where no dot stands out.
     """
     h, w = smooth.shape[0], smooth.shape[1]
     one = np.float32(1)

@@ -6,9 +6,11 @@ import sys
 import time
 
 import cv2
-from pattern_gen.ros_conversions import pattern_from_message
 from rclpy.node import Node
 from sensor_msgs.msg import Image
+
+from pattern_gen import Pattern
+from pattern_gen.ros_conversions import pattern_from_message
 from sl_common.errors import StructuredLightError
 from sl_common.ros import images
 from sl_common.ros.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -17,17 +19,17 @@ from sl_common.ros.qos import LATCHED, STREAM_PUBLISH, STREAM_SUBSCRIBE
 from sl_common.ros.run import run_node
 from sl_common.ros.stamps import to_ns
 from sl_common.ros.waiting import InputWatch
-
-from pattern_gen import Pattern
 from sl_decoder.colours import load_colours
 from sl_decoder.debug import draw
 from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, DecoderOptions
 from sl_decoder.messages import to_message
 from sl_decoder.tracking import Tracker
-from sl_decoder.warmup import warm_up
+from sl_decoder.warmup import prepare, warm_up
 from sl_msgs.msg import Correspondences
 from sl_msgs.msg import Pattern as PatternMessage
+
+REFUSAL_PERIOD = 5.0  # least time between two lines about refused messages of one kind [s]
 
 
 class DecoderNode(Node):
@@ -36,7 +38,12 @@ class DecoderNode(Node):
     def __init__(self) -> None:
         super().__init__("decoder")
         min_confidence = declare(
-            self, "min_confidence", 0.5, "dots whose probability of being right is less are left out", minimum=0.0, maximum=1.0
+            self,
+            "min_confidence",
+            0.5,
+            "dots whose probability of being right is less are left out",
+            minimum=0.0,
+            maximum=1.0,
         )
         self._tracking = declare(
             self, "tracking", True, "follow dots from image to image (track_id) and decode around the prediction"
@@ -44,17 +51,16 @@ class DecoderNode(Node):
         colours_file = declare(
             self, "colours_file", "", "colours.yaml of a colour calibration; empty: colours are learnt from each image"
         )
-        threads = declare(
-            self, "threads", 1, "threads of the image filters", minimum=1, maximum=64
-        )
+        threads = declare(self, "threads", 1, "threads of the image filters", minimum=1, maximum=64)
         self._options = DecoderOptions(min_confidence=min_confidence)
         self._colours = load_colours(colours_file) if colours_file else None
         cv2.setNumThreads(threads)
         start = time.monotonic()
-        warm_up()
+        prepare()
         elapsed = time.monotonic() - start
         self.get_logger().info(f"ready after {elapsed:.1f} s of preparation")
 
+        self._last_refusal: dict[str, float] = {}
         self._pattern: Pattern | None = None
         self._decoder: Decoder | None = None
         self._tracker: Tracker | None = None
@@ -83,8 +89,8 @@ class DecoderNode(Node):
         self._watch.seen("pattern")
         self._pattern, self._decoder, self._tracker = pattern, decoder, Tracker(decoder)
         self.get_logger().info(
-            f"pattern {pattern.pattern_id}: {pattern.rows}x{pattern.cols} {pattern.grid.value}, {pattern.alphabet} letters, "
-            f"minimum Hamming distance {pattern.min_hamming}"
+            f"pattern {pattern.pattern_id}: {pattern.rows}x{pattern.cols} {pattern.grid.value}, "
+            f"{pattern.alphabet} letters, minimum Hamming distance {pattern.min_hamming}"
         )
 
     def _on_image(self, message: Image) -> None:
@@ -110,7 +116,10 @@ class DecoderNode(Node):
             self._debug.publish(images.to_message(overlay, message.header))
 
     def _refuse(self, what: str, error: StructuredLightError) -> None:
-        self.get_logger().error(f"{what} refused: {error}", throttle_duration_sec=5.0)
+        now = time.monotonic()
+        if now - self._last_refusal.get(what, -REFUSAL_PERIOD) >= REFUSAL_PERIOD:
+            self._last_refusal[what] = now
+            self.get_logger().error(f"{what} refused: {error}")
         self._diagnostics.level(ERROR, f"{what} refused: {error}")
         self._diagnostics.tick(f"refused {what}s")
 

@@ -1,10 +1,14 @@
 """Where a lattice component lies in the map: every window votes, the letters of all its dots decide.
 
-All windows of a correctly linked component name the same placement: a rotation and a shift from lattice to map coordinates.
-So windows vote for placements (a Hough transform over the discrete poses), and a placement is verified letter by letter.
-Links that jump over a depth edge make one component out of parts with different placements; a two-label field (in this
-placement or not) over the lattice, solved by mean-field message passing, cuts them apart: own letter against neighbours'.
+All windows of a correctly linked component name the same placement: a rotation and a shift from lattice to map
+coordinates. So windows vote for placements (a Hough transform over the discrete poses), and a placement is verified
+letter by letter. Links that jump over a depth edge make one component out of parts with different placements; a
+two-label field (in this placement or not) over the lattice, solved by mean-field message passing, cuts them apart:
+own letter against neighbours'.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -18,7 +22,7 @@ SWEEPS = 6
 
 
 @compiled
-def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-untyped-def]
+def lay_out(component, u, v, conflicts, count, smallest):
     """Lay the components with at least `smallest` dots out on their lattices.
 
     Returns cell (M,) int32 dot index or -1, all components in one flat array; at (N,) int32 the cell of each dot or -1;
@@ -74,7 +78,7 @@ def lay_out(component, u, v, conflicts, count, smallest):  # type: ignore[no-unt
 
 
 @compiled
-def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values, turn):  # type: ignore[no-untyped-def]
+def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values, turn):
     """Look every whole window up.
 
     Returns votes (V, 5) int32: dot at the centre, orientation k, shift u, shift v (map = turn[k] @ (u, v) + shift) and
@@ -114,7 +118,7 @@ def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values,
 
 
 @compiled
-def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, codes, values, turn, todo):  # type: ignore[no-untyped-def]
+def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, codes, values, turn, todo):
     """Votes of the windows of the dots `todo` (N,) bool with one letter replaced by each other one."""
     n = len(at)
     size = len(window)
@@ -156,7 +160,7 @@ def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, code
 
 
 @compiled
-def rank_placements(votes, component, smallest):  # type: ignore[no-untyped-def]
+def rank_placements(votes, component, smallest):
     """Distinct placements with at least `smallest` votes, most votes first: (P, 5) int32 component, k, u, v, votes;
     and for each vote the index of its placement or -1."""
     m = len(votes)
@@ -198,8 +202,25 @@ def rank_placements(votes, component, smallest):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, map_letters, window, turn,  # type: ignore[no-untyped-def]
-                    coupling, sweeps, belief, work, members):
+def solve_placement(
+    placement,
+    voters,
+    cell,
+    at,
+    width,
+    component,
+    u,
+    v,
+    log_p,
+    map_letters,
+    window,
+    turn,
+    coupling,
+    sweeps,
+    belief,
+    work,
+    members,
+):
     """Log-odds that each dot of the component belongs to a placement, by mean-field over the lattice.
 
     Starts from the windows that voted and grows outwards over the lattice; belief (N,) float32 is written for the
@@ -265,8 +286,29 @@ def solve_placement(placement, voters, cell, at, width, component, u, v, log_p, 
 
 
 @compiled
-def place(found, of, votes, cell, at, width, component, u, v, log_p, map_letters, window, turn, coupling, sweeps,  # type: ignore[no-untyped-def]
-          first_evidence, next_evidence, least_belief, claim, holder_u, holder_v):
+def place(
+    found,
+    of,
+    votes,
+    cell,
+    at,
+    width,
+    component,
+    u,
+    v,
+    log_p,
+    map_letters,
+    window,
+    turn,
+    coupling,
+    sweeps,
+    first_evidence,
+    next_evidence,
+    least_belief,
+    claim,
+    holder_u,
+    holder_v,
+):
     """Accept placements by their evidence and let their dots claim the map's elements.
 
     The first placement of an image needs `first_evidence` (log-likelihood ratio over all windows, orientations and
@@ -303,8 +345,25 @@ def place(found, of, votes, cell, at, width, component, u, v, log_p, map_letters
                 m += 1
         if m == 0:
             continue
-        count, own = solve_placement(found[p], voters[:m], cell, at, width, component, u, v, log_p, map_letters, window,
-                                     turn, coupling, sweeps, belief, work, members)
+        count, own = solve_placement(
+            found[p],
+            voters[:m],
+            cell,
+            at,
+            width,
+            component,
+            u,
+            v,
+            log_p,
+            map_letters,
+            window,
+            turn,
+            coupling,
+            sweeps,
+            belief,
+            work,
+            members,
+        )
         total = 0.0
         for s in range(count):
             if belief[members[s]] > least_belief:

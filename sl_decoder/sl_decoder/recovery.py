@@ -4,6 +4,9 @@ Faint dots below the threshold of segmentation, and dots that merged with a neig
 places with their expected shape and colour. What is found is claimed like any other dot and judged with the rest.
 """
 
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
+
 from __future__ import annotations
 
 import numpy as np
@@ -18,9 +21,38 @@ APART = 0.5  # a recovered dot keeps this distance from all held ones, lattice u
 
 
 @compiled
-def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covariance, area, noise, saturated, signal,  # type: ignore[no-untyped-def]
-            log_p, letter, map_letters, steps, window, letter_group, direction, spread, profile_mean,
-            profile_spread, level, level_spread, stray, level_offset, circle, reach, least):
+def recover(
+    claim,
+    holder_u,
+    holder_v,
+    tried,
+    n,
+    smooth,
+    centre,
+    colour,
+    covariance,
+    area,
+    noise,
+    saturated,
+    signal,
+    log_p,
+    letter,
+    map_letters,
+    steps,
+    window,
+    letter_group,
+    direction,
+    spread,
+    profile_mean,
+    profile_spread,
+    level,
+    level_spread,
+    stray,
+    level_offset,
+    circle,
+    reach,
+    least,
+):
     """Look for the dots of all free elements next to held ones, outwards until nothing more is found.
 
     Writes new dots behind the first `n` of the per-dot arrays (as long as there is room) and claims them. tried (V, U)
@@ -77,10 +109,16 @@ def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covaria
         variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
         expected = map_letters[v, u]
         g = letter_group[expected]
-        total = max(direction[g, 0], np.float32(0)) + max(direction[g, 1], np.float32(0)) + max(direction[g, 2], np.float32(0))
+        total = (
+            max(direction[g, 0], np.float32(0))
+            + max(direction[g, 1], np.float32(0))
+            + max(direction[g, 2], np.float32(0))
+        )
         for c in range(3):
             mix[c] = max(direction[g, c], np.float32(0)) / total
-        if not measure_at(smooth, x, y, cxx / m, cxy / m, cyy / m, mix, ax, ay, bx, by, np.float32(reach), circle, found):
+        if not measure_at(
+            smooth, x, y, cxx / m, cxy / m, cyy / m, mix, ax, ay, bx, by, np.float32(reach), circle, found
+        ):
             continue
         clear = True
         for p in range(1, len(window)):
@@ -94,9 +132,25 @@ def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covaria
         i = n
         projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
         s = np.log(max(projected, np.float32(0.5))) - level_offset
-        letter[i] = letter_evidence(found[2], found[3], found[4], np.float32(np.nan), s, field, variance, found[5],
-                                    letter_group, direction, spread, profile_mean, profile_spread, level,
-                                    level_spread, stray, log_p[i])
+        letter[i] = letter_evidence(
+            found[2],
+            found[3],
+            found[4],
+            np.float32(np.nan),
+            s,
+            field,
+            variance,
+            found[5],
+            letter_group,
+            direction,
+            spread,
+            profile_mean,
+            profile_spread,
+            level,
+            level_spread,
+            stray,
+            log_p[i],
+        )
         if log_p[i, expected] < least:
             continue
         centre[i, 0], centre[i, 1] = found[0], found[1]
@@ -111,8 +165,15 @@ def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covaria
         n += 1
         for d in range(len(steps)):
             vv, uu = v + steps[d, 1], u + steps[d, 0]
-            if (0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] < 0 and map_letters[vv, uu] >= 0
-                    and not tried[vv, uu] and not waiting[vv, uu] and tail < len(queue)):
+            if (
+                0 <= vv < rows
+                and 0 <= uu < cols
+                and claim[vv, uu] < 0
+                and map_letters[vv, uu] >= 0
+                and not tried[vv, uu]
+                and not waiting[vv, uu]
+                and tail < len(queue)
+            ):
                 queue[tail, 0], queue[tail, 1] = vv, uu
                 waiting[vv, uu] = True
                 tail += 1
@@ -120,7 +181,9 @@ def recover(claim, holder_u, holder_v, tried, n, smooth, centre, colour, covaria
 
 
 @compiled
-def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, letter_group, direction, circle, most):  # type: ignore[no-untyped-def]
+def matched_offset(
+    claim, smooth, centre, covariance, signal, map_letters, steps, letter_group, direction, circle, most
+):
     """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
     rows, cols = claim.shape
     values = np.empty(most, np.float32)
@@ -141,7 +204,7 @@ def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps
             count += 1
             if count % stride or n >= most:
                 continue
-            x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+            _, _, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
             if kind >= EXTRAPOLATED:
                 continue
             g = letter_group[map_letters[v, u]]
@@ -151,8 +214,22 @@ def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps
                 total += mix[c]
             for c in range(3):
                 mix[c] /= total
-            if measure_at(smooth, centre[i, 0], centre[i, 1], covariance[i, 0], covariance[i, 1], covariance[i, 2], mix,
-                          ax, ay, bx, by, np.float32(0.2), circle, found):
+            if measure_at(
+                smooth,
+                centre[i, 0],
+                centre[i, 1],
+                covariance[i, 0],
+                covariance[i, 1],
+                covariance[i, 2],
+                mix,
+                ax,
+                ay,
+                bx,
+                by,
+                np.float32(0.2),
+                circle,
+                found,
+            ):
                 projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
                 values[n] = np.log(max(projected, np.float32(0.5))) - signal[i]
                 n += 1

@@ -1,10 +1,13 @@
 """Segmentation: a camera image to blobs, with background, threshold and separation that adapt to the image everywhere.
 
-The background of every channel is its morphological opening (whatever is wider than a dot stays, dots vanish), so ambient
-light, its colour and albedo steps drop out. What remains, the largest channel of the white top-hat, is flooded downhill
-from its maxima; maxima that connect at nearly their own height are one dot (noise, mosaic artefacts), all others stay
-apart however close they lie (paper, section III.B: blob detection on the V channel).
+The background of every channel is its morphological opening (whatever is wider than a dot stays, dots vanish), so
+ambient light, its colour and albedo steps drop out. What remains, the largest channel of the white top-hat, is
+flooded downhill from its maxima; maxima that connect at nearly their own height are one dot (noise, mosaic
+artefacts), all others stay apart however close they lie (paper, section III.B: blob detection on the V channel).
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -27,10 +30,10 @@ MAX_BLOBS = 30000
 class Segments:
     """A segmented image with N blobs.
 
-    signal (H, W, 3) uint8: image above its background, under the 3x3 binomial filter that removes the mosaic's frequency;
-    hat (H, W) uint8 its largest channel; label (H, W) int32 blob index + 1 or 0; xs, ys (P,) int16 its pixels blob by
-    blob, start (N + 1,) int32 where each blob's begin; peak, floor (N,) float32 height of the blob and of the background
-    around it in `hat`; smooth (H, W, 3) uint8 the filtered image itself.
+    signal (H, W, 3) uint8: image above its background, under the 3x3 binomial filter that removes the mosaic's
+    frequency; hat (H, W) uint8 its largest channel; label (H, W) int32 blob index + 1 or 0; xs, ys (P,) int16 its
+    pixels blob by blob, start (N + 1,) int32 where each blob's begin; peak, floor (N,) float32 height of the blob and
+    of the background around it in `hat`; smooth (H, W, 3) uint8 the filtered image itself.
     """
 
     signal: NDArray[np.uint8]
@@ -48,7 +51,7 @@ class Segments:
 
 
 @compiled
-def measure_noise(hat, factor, floor, threshold):  # type: ignore[no-untyped-def]
+def measure_noise(hat, factor, floor, threshold):
     """Level and threshold of the background per block, from low percentiles (dots cover the smaller part)."""
     h, w = hat.shape
     ny, nx = floor.shape
@@ -94,12 +97,13 @@ def measure_noise(hat, factor, floor, threshold):  # type: ignore[no-untyped-def
 
 
 @compiled
-def flood(hat, level, threshold, label, xs, ys, start, peak, base):  # type: ignore[no-untyped-def]
+def flood(hat, level, threshold, label, xs, ys, start, peak, base):
     """Blobs around the maxima of the top-hat.
 
     From every local maximum, pixels connected above SADDLE_RATIO of its height belong to the same dot, whatever small
-    maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. Writes label (H, W)
-    int32 (must be zero) and the pixels' xs, ys int16 blob by blob; start, peak, base per blob. Returns the number of blobs.
+    maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. Writes label (H,
+    W) int32 (must be zero) and the pixels' xs, ys int16 blob by blob; start, peak, base per blob. Returns the number
+    of blobs.
     """
     h, w = hat.shape
     capacity = len(xs)
@@ -121,9 +125,16 @@ def flood(hat, level, threshold, label, xs, ys, start, peak, base):  # type: ign
             if value <= limits[x] or mark[i] != 0:
                 continue
             # a maximum; of a plateau, its last pixel
-            if not (value >= flat[i - 1] and value > flat[i + 1] and value >= flat[i - w] and value > flat[i + w]
-                    and value >= flat[i - w - 1] and value >= flat[i - w + 1] and value > flat[i + w - 1]
-                    and value > flat[i + w + 1]):
+            if not (
+                value >= flat[i - 1]
+                and value > flat[i + 1]
+                and value >= flat[i - w]
+                and value > flat[i + w]
+                and value >= flat[i - w - 1]
+                and value >= flat[i - w + 1]
+                and value > flat[i + w - 1]
+                and value > flat[i + w + 1]
+            ):
                 continue
             if n >= most or end + 64 > capacity:
                 break
@@ -184,7 +195,9 @@ def smoothed(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return cv2.GaussianBlur(bgr, (3, 3), 0)
 
 
-def above_background(bgr: NDArray[np.uint8], kernel: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+def above_background(
+    bgr: NDArray[np.uint8], kernel: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
     """Image (H, W, 3) above its background: (H, W, 3) uint8 signal, (H, W) its largest channel, (H, W, 3) smoothed.
 
     kernel: side of the opening [px]; the background is found at half resolution.

@@ -1,11 +1,14 @@
-"""Dots as a perfect camera would measure them, with wrong letters and missing dots on demand: to test and to benchmark."""
+"""Dots as a perfect camera would measure them.
+
+With wrong letters and missing dots on demand: to test and to benchmark.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pattern_gen import Pattern
 
+from pattern_gen import Pattern
 from sl_decoder.centres import Dots
 
 

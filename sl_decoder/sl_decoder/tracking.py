@@ -1,10 +1,13 @@
 """Tracking: dots keep their identity from image to image (paper, end of section III.B).
 
-Most images are decoded by verification: every dot is measured around its predicted place, then letter, place and neighbours
-are judged exactly as in a full decoding; dots that enter at the rim are found by recovery. Where too many fail, and every
-`refresh` images, the image is decoded from scratch. An identity is a map element seen without interruption: whatever
-happens, it is only given to a dot that was verified to be that element in this very image.
+Most images are decoded by verification: every dot is measured around its predicted place, then letter, place and
+neighbours are judged exactly as in a full decoding; dots that enter at the rim are found by recovery. Where too many
+fail, and every `refresh` images, the image is decoded from scratch. An identity is a map element seen without
+interruption: whatever happens, it is only given to a dot that was verified to be that element in this very image.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -43,12 +46,33 @@ class TrackerOptions:
 
 
 @compiled
-def follow(index, place, shape, claim, smooth, map_letters, steps, window, letter_group, direction, offset, circle, reach,  # type: ignore[no-untyped-def]
-           centre, colour, covariance, noise, saturated, signal, holder_u, holder_v):
+def follow(
+    index,
+    place,
+    shape,
+    claim,
+    smooth,
+    map_letters,
+    steps,
+    window,
+    letter_group,
+    direction,
+    offset,
+    circle,
+    reach,
+    centre,
+    colour,
+    covariance,
+    noise,
+    saturated,
+    signal,
+    holder_u,
+    holder_v,
+):
     """Measure all dots around their predicted places.
 
-    index (V, U) int32: row of `place` (N, 2) predicted px and `shape` (N, 3) (footprint in lattice units) or -1. Writes the
-    per-dot arrays, claim (V, U) and the holders; returns the number of dots found.
+    index (V, U) int32: row of `place` (N, 2) predicted px and `shape` (N, 3) (footprint in lattice units) or -1.
+    Writes the per-dot arrays, claim (V, U) and the holders; returns the number of dots found.
     """
     rows, cols = index.shape
     found = np.empty(7, np.float32)
@@ -76,8 +100,22 @@ def follow(index, place, shape, claim, smooth, map_letters, steps, window, lette
             cxy = ax * ay * kxx + (ax * by + bx * ay) * kxy + bx * by * kyy
             cyy = ay * ay * kxx + 2 * ay * by * kxy + by * by * kyy
             g = letter_group[map_letters[v, u]]
-            if not measure_at(smooth, place[i, 0], place[i, 1], cxx, cxy, cyy, mixes[g], ax, ay, bx, by,
-                              np.float32(reach), circle, found):
+            if not measure_at(
+                smooth,
+                place[i, 0],
+                place[i, 1],
+                cxx,
+                cxy,
+                cyy,
+                mixes[g],
+                ax,
+                ay,
+                bx,
+                by,
+                np.float32(reach),
+                circle,
+                found,
+            ):
                 continue
             centre[n, 0], centre[n, 1] = found[0], found[1]
             colour[n, 0], colour[n, 1], colour[n, 2] = found[2], found[3], found[4]
@@ -93,8 +131,24 @@ def follow(index, place, shape, claim, smooth, map_letters, steps, window, lette
 
 
 @compiled
-def weigh_on_map(claim, colour, signal, noise, map_letters, window, letter_group, direction, spread, profile_mean,  # type: ignore[no-untyped-def]
-                 profile_spread, level, level_spread, stray, evidence, letter):
+def weigh_on_map(
+    claim,
+    colour,
+    signal,
+    noise,
+    map_letters,
+    window,
+    letter_group,
+    direction,
+    spread,
+    profile_mean,
+    profile_spread,
+    level,
+    level_spread,
+    stray,
+    evidence,
+    letter,
+):
     """Letter evidence of all held dots against the field of their neighbours on the map."""
     rows, cols = claim.shape
     for v in range(rows):
@@ -118,13 +172,29 @@ def weigh_on_map(claim, colour, signal, noise, map_letters, window, letter_group
             else:
                 field /= m
                 variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
-            letter[i] = letter_evidence(colour[i, 0], colour[i, 1], colour[i, 2], np.float32(np.nan), signal[i], field,
-                                        variance, noise[i], letter_group, direction, spread, profile_mean,
-                                        profile_spread, level, level_spread, stray, evidence[i])
+            letter[i] = letter_evidence(
+                colour[i, 0],
+                colour[i, 1],
+                colour[i, 2],
+                np.float32(np.nan),
+                signal[i],
+                field,
+                variance,
+                noise[i],
+                letter_group,
+                direction,
+                spread,
+                profile_mean,
+                profile_spread,
+                level,
+                level_spread,
+                stray,
+                evidence[i],
+            )
 
 
 @compiled
-def remember(claim, centre, covariance, steps, shape, basis_known):  # type: ignore[no-untyped-def]
+def remember(claim, centre, covariance, steps, shape, basis_known):
     """Footprints (V, U, 3) of the held dots in lattice units: B^-1 C B^-T."""
     rows, cols = claim.shape
     for v in range(rows):
@@ -225,9 +295,27 @@ class Tracker:
         reading = Interpretation(book, decoder.alphabet, _blank(before))
         reading.model = model
         n = follow(
-            index, place, shape, reading.claim, smooth, book.letters, lattice.steps, lattice.window, decoder.alphabet.group,
-            model.direction, self._offset, CIRCLE, self.options.reach, reading.centre, reading.colour, reading.covariance,
-            reading.noise, reading.saturated, reading.signal, reading.holder_u, reading.holder_v,
+            index,
+            place,
+            shape,
+            reading.claim,
+            smooth,
+            book.letters,
+            lattice.steps,
+            lattice.window,
+            decoder.alphabet.group,
+            model.direction,
+            self._offset,
+            CIRCLE,
+            self.options.reach,
+            reading.centre,
+            reading.colour,
+            reading.covariance,
+            reading.noise,
+            reading.saturated,
+            reading.signal,
+            reading.holder_u,
+            reading.holder_v,
         )
         if n < self.options.least_share * before:
             return None
@@ -236,9 +324,16 @@ class Tracker:
         reading.area[:n] = area[reading.holder_v[:n], reading.holder_u[:n]]
         reading.set_tracked(n)
         weigh_on_map(
-            reading.claim, reading.colour, reading.signal, reading.noise, book.letters, lattice.window,
-            decoder.alphabet.group, *model.arrays(),
-            reading.evidence, reading.letter,
+            reading.claim,
+            reading.colour,
+            reading.signal,
+            reading.noise,
+            book.letters,
+            lattice.window,
+            decoder.alphabet.group,
+            *model.arrays(),
+            reading.evidence,
+            reading.letter,
         )
         reading.judge(decoder.limit)
         kept = int((reading.claim >= 0).sum())
@@ -255,10 +350,21 @@ class Tracker:
         if self._model is None:
             return
         book = self._decoder.codebook
-        self._offset = np.float32(matched_offset(
-            reading.claim, smooth, reading.centre, reading.covariance, reading.signal, book.letters, book.lattice.steps,
-            self._decoder.alphabet.group, self._model.direction, CIRCLE, 200,
-        ))
+        self._offset = np.float32(
+            matched_offset(
+                reading.claim,
+                smooth,
+                reading.centre,
+                reading.covariance,
+                reading.signal,
+                book.letters,
+                book.lattice.steps,
+                self._decoder.alphabet.group,
+                self._model.direction,
+                CIRCLE,
+                200,
+            )
+        )
         known = np.zeros(self._claim.shape, np.bool_)
         remember(reading.claim, reading.centre, reading.covariance, book.lattice.steps, self._footprint, known)
 

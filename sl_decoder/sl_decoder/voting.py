@@ -1,11 +1,14 @@
 """The paper's voting (section III.B), which corrects a single wrong letter per window.
 
 "If a code is found in the LUT, then the score for all elements of the code in the observed colour is increased by 9 ...
-If the code is not found, then for each of the 9 elements we try to find a valid code by changing only one of the elements
-... If such code can be found, we increase the score for that colour of that spot by one. Then we assign the colour to the
-spot that has the highest vote."  In general the weight of a found code is the number of elements of a window: one for each
-hypothesis that one of them is wrong.
+If the code is not found, then for each of the 9 elements we try to find a valid code by changing only one of the
+elements ... If such code can be found, we increase the score for that colour of that spot by one. Then we assign the
+colour to the spot that has the highest vote."  In general the weight of a found code is the number of elements of a
+window: one for each hypothesis that one of them is wrong.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
@@ -16,11 +19,11 @@ from sl_decoder.compiled import compiled
 
 
 @compiled
-def vote(cell, at, width, letter, window, alphabet, codes):  # type: ignore[no-untyped-def]
+def vote(cell, at, width, letter, window, alphabet, codes):
     """Scores (N, A) int32 of the letters of N dots on their lattices.
 
-    cell, at, width: the layout of `placement.lay_out`; letter (N,) int32 as read; window (W, 2) int32 offsets; codes (M,)
-    int64 sorted code table.
+    cell, at, width: the layout of `placement.lay_out`; letter (N,) int32 as read; window (W, 2) int32 offsets; codes
+    (M,) int64 sorted code table.
     """
     n = len(at)
     size = len(window)
@@ -57,7 +60,7 @@ def vote(cell, at, width, letter, window, alphabet, codes):  # type: ignore[no-u
 
 
 @compiled
-def elect(score, letter):  # type: ignore[no-untyped-def]
+def elect(score, letter):
     """Letters (N,) int32 with the highest vote; where none has more than the letter that was read, that one stays."""
     out = letter.copy()
     for i in range(len(letter)):

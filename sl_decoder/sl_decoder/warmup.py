@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import time
 
@@ -23,6 +24,15 @@ def warm_up(pattern: Pattern | None = None) -> int:
         found = len(tracker.track(image, stamp * 33_000_000))
         decoder.decode(image)
     return found
+
+
+def prepare() -> None:
+    """Make everything ready in this process, compiling in another where that is due.
+
+    The compiler takes 150 MB that a process never gives back; what is already compiled only has to be loaded.
+    """
+    subprocess.run([sys.executable, "-m", "sl_decoder.warmup"], stdout=subprocess.DEVNULL, check=False)
+    warm_up()
 
 
 def main() -> int:

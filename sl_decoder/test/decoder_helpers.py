@@ -1,8 +1,8 @@
 """Shared by this package's tests: small maps and camera views of them."""
 
 import numpy as np
-from pattern_gen import Grid, Letter, Pattern, default_pattern
 
+from pattern_gen import Grid, Letter, Pattern, default_pattern
 from sl_decoder.benchmark import camera_image
 
 __all__ = ["camera_image", "default_pattern", "hexagonal_pattern", "monochrome_pattern"]
@@ -11,7 +11,9 @@ __all__ = ["camera_image", "default_pattern", "hexagonal_pattern", "monochrome_p
 def hexagonal_pattern(rows: int = 20, cols: int = 30, seed: int = 0) -> Pattern:
     """A random hexagonal map: its windows are unique with overwhelming probability."""
     symbols = np.random.default_rng(seed).integers(0, 6, (rows, cols)).astype(np.uint8)
-    return Pattern(grid=Grid.HEXAGONAL, symbols=symbols, letters=default_pattern().letters, pitch=24.0, spot_diameter=11.0)
+    return Pattern(
+        grid=Grid.HEXAGONAL, symbols=symbols, letters=default_pattern().letters, pitch=24.0, spot_diameter=11.0
+    )
 
 
 def monochrome_pattern(rows: int = 24, cols: int = 32, seed: int = 0) -> Pattern:

@@ -5,8 +5,8 @@ import pytest
 from decoder_helpers import hexagonal_pattern
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pattern_gen import default_pattern
 
+from pattern_gen import default_pattern
 from sl_common.errors import StructuredLightError
 from sl_decoder.codebook import build_codebook, find_code, window_code
 from sl_decoder.lattice import HEXAGONAL, SQUARE, from_axial, mirrored, to_axial

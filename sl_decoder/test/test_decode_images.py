@@ -27,7 +27,12 @@ def test_formats(suffix: str, bits: int, tmp_path, pattern_file: str, capsys) ->
     image = camera_image(PATTERN, 640, 480)
     path = tmp_path / f"view{suffix}"
     cv2.imwrite(str(path), image if bits == 8 else image.astype(np.uint16) * 40)
-    assert main(["--pattern", pattern_file, "--output", str(tmp_path / "out"), "--debug", str(tmp_path / "dbg"), str(path)]) == 0
+    assert (
+        main(
+            ["--pattern", pattern_file, "--output", str(tmp_path / "out"), "--debug", str(tmp_path / "dbg"), str(path)]
+        )
+        == 0
+    )
     with open(tmp_path / "out" / "view.csv") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["row", "col", "x", "y", "confidence"]
@@ -46,7 +51,9 @@ def test_bayer_on_request(tmp_path, pattern_file: str) -> None:
     raw[1::2, 0::2] = image[1::2, 0::2, 1]
     raw[1::2, 1::2] = image[1::2, 1::2, 0]
     cv2.imwrite(str(tmp_path / "raw.png"), raw)
-    assert main(["--pattern", pattern_file, "--output", str(tmp_path), "--bayer", "rggb", str(tmp_path / "raw.png")]) == 0
+    assert (
+        main(["--pattern", pattern_file, "--output", str(tmp_path), "--bayer", "rggb", str(tmp_path / "raw.png")]) == 0
+    )
     assert len((tmp_path / "raw.csv").read_text().splitlines()) > 2400
     assert abs(int(read_image(tmp_path / "raw.png", bayer="rggb")[400, 640, 0]) - int(image[400, 640, 0])) < 60
 

@@ -17,7 +17,9 @@ PATTERN = default_pattern()
 DECODER = Decoder(PATTERN)
 
 
-def project(pattern, affine: np.ndarray, size=(640, 480), *, noise: float = 3.0, ambient: float = 20.0, seed: int = 0) -> np.ndarray:
+def project(
+    pattern, affine: np.ndarray, size=(640, 480), *, noise: float = 3.0, ambient: float = 20.0, seed: int = 0
+) -> np.ndarray:
     image = cv2.warpAffine(pattern.render()[:, :, ::-1], affine, size, flags=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 0.6).astype(np.float32) + ambient
     return np.clip(image + np.random.default_rng(seed).normal(0, noise, image.shape), 0, 255).astype(np.uint8)
@@ -97,7 +99,9 @@ def test_a_shifted_part_is_cut_off_the_rest_or_placed_right() -> None:
 def test_exposure(scale: float) -> None:
     affine = view(PATTERN, angle=0.3, scale=0.5, seed=1)
     image = cv2.warpAffine(PATTERN.render()[:, :, ::-1], affine, (640, 480), flags=cv2.INTER_AREA).astype(np.float32)
-    exposed = np.clip(cv2.GaussianBlur(image, (0, 0), 0.7) * scale + np.random.default_rng(0).normal(2, 1, image.shape), 0, 255)
+    exposed = np.clip(
+        cv2.GaussianBlur(image, (0, 0), 0.7) * scale + np.random.default_rng(0).normal(2, 1, image.shape), 0, 255
+    )
     decoded = DECODER.decode(exposed.astype(np.uint8))
     assert len(decoded) > 2300
     assert errors(decoded, affine).max() < 0.8
@@ -134,7 +138,8 @@ def test_confidence_threshold_and_calibrated_colours() -> None:
 
 
 @pytest.mark.parametrize(
-    "image", [np.zeros((10, 10, 3), np.uint8), np.zeros((100, 100), np.uint8), np.zeros((100, 100, 3), np.float32), None]
+    "image",
+    [np.zeros((10, 10, 3), np.uint8), np.zeros((100, 100), np.uint8), np.zeros((100, 100, 3), np.float32), None],
 )
 def test_bad_input_is_refused(image) -> None:
     with pytest.raises(StructuredLightError):

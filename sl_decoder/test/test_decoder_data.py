@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from pattern_gen import Grid, Pattern, generate
 
+from pattern_gen import Grid, Pattern, generate
 from sl_decoder import Decoder
 
 DATA = Path(os.environ.get("SL_TEST_DATA", "/nonexistent"))
@@ -41,7 +41,14 @@ def test_rendered_sets(name: str) -> None:
         got[decoded.row[good], decoded.col[good]] = True
         assert (got & inner).sum() >= 0.97 * inner.sum(), path.name
         error.append(distance[good & scored[decoded.row, decoded.col]])
-        total += [(got & inner).sum(), inner.sum(), (got & resolvable).sum(), resolvable.sum(), good.sum(), (~ignored).sum()]
+        total += [
+            (got & inner).sum(),
+            inner.sum(),
+            (got & resolvable).sum(),
+            resolvable.sum(),
+            good.sum(),
+            (~ignored).sum(),
+        ]
     assert total[0] / total[1] >= 0.995
     assert total[2] / total[3] >= 0.97
     assert total[4] / total[5] >= 0.9995
@@ -50,7 +57,9 @@ def test_rendered_sets(name: str) -> None:
 
 def gray_map(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Raw projector column and row of each pixel, white and black frame."""
-    frames = [cv2.imread(str(folder / f"graycode_{i:02d}.png"), cv2.IMREAD_GRAYSCALE).astype(np.int32) for i in range(42)]
+    frames = [
+        cv2.imread(str(folder / f"graycode_{i:02d}.png"), cv2.IMREAD_GRAYSCALE).astype(np.int32) for i in range(42)
+    ]
 
     def axis(first: int) -> np.ndarray:
         value = np.zeros_like(frames[0])
@@ -68,7 +77,12 @@ def relighting_pattern() -> Pattern:
     """A pitch of 8 projector px puts about five dots across a square of the board (some 40 projector px)."""
     drawn = generate(6, 1, rows=90, cols=120, seed=1)
     return Pattern(
-        grid=Grid.SQUARE, symbols=drawn.symbols, letters=drawn.letters, pitch=8.0, origin=(30.0, 25.0), spot_diameter=4.0
+        grid=Grid.SQUARE,
+        symbols=drawn.symbols,
+        letters=drawn.letters,
+        pitch=8.0,
+        origin=(30.0, 25.0),
+        spot_diameter=4.0,
     )
 
 
@@ -113,4 +127,6 @@ def test_photographs_of_other_things_give_nothing() -> None:
     assert len(paths) > 60
     for path in paths:
         image = cv2.imread(str(path))
-        assert len(decoder.decode(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))) == 0, path.name
+        assert len(decoder.decode(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))) == 0, (
+            path.name
+        )

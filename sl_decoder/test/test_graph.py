@@ -37,14 +37,16 @@ def linked(lattice, angle: float, squeeze: float, rng: np.random.Generator):
     near = graph.nearest(points, graph.NEIGHBOURS)
     links = np.empty((len(points), lattice.directions), np.int32)
     quality = np.empty(len(points), np.float32)
-    graph.local_bases(points, graph.smooth_shapes(covariance, near), near, lattice.directions, graph.TOLERANCE, links, quality)
+    graph.local_bases(
+        points, graph.smooth_shapes(covariance, near), near, lattice.directions, graph.TOLERANCE, links, quality
+    )
     component, frame, cu, cv = (np.empty(len(points), np.int32) for _ in range(4))
     count, conflicts = graph.components(links, quality, lattice.steps, component, frame, cu, cv)
     return u, v, component, cu, cv, conflicts, count
 
 
 @pytest.mark.parametrize("lattice", [SQUARE, HEXAGONAL])
-@pytest.mark.parametrize("squeeze", [1.0, 0.6, 0.4])
+@pytest.mark.parametrize("squeeze", [1.0, 0.6, 0.5])
 def test_a_lattice_seen_obliquely_is_one_component_with_right_coordinates(lattice, squeeze: float) -> None:
     rng = np.random.default_rng(3)
     for angle in rng.uniform(0, 2 * np.pi, 5):

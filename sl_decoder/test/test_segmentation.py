@@ -18,7 +18,7 @@ def draw(centres: np.ndarray, *, sigma: float, level: float = 200.0, size: tuple
 
 
 def lattice(pitch: float, rng: np.random.Generator) -> np.ndarray:
-    v, u = np.mgrid[20 : 220 : pitch, 20 : 300 : pitch]
+    v, u = np.mgrid[20:220:pitch, 20:300:pitch]
     return np.stack([u.ravel(), v.ravel()], 1) + rng.uniform(-0.5, 0.5, (u.size, 2))
 
 

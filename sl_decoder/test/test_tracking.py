@@ -27,7 +27,9 @@ def test_dots_keep_their_identity_while_they_move() -> None:
         assert len(decoded) > 2300
         assert len(np.unique(decoded.track_id)) == len(decoded)
         tracked += decoded.tracked
-        now = dict(zip(zip(decoded.row.tolist(), decoded.col.tolist(), strict=True), decoded.track_id.tolist(), strict=True))
+        now = dict(
+            zip(zip(decoded.row.tolist(), decoded.col.tolist(), strict=True), decoded.track_id.tolist(), strict=True)
+        )
         assert all(seen[key] == value for key, value in now.items() if key in seen)
         seen = now
     assert tracked >= 9
@@ -47,7 +49,9 @@ def test_a_switched_pattern_leaves_nothing() -> None:
     for k in range(3):
         tracker.track(camera_image(PATTERN, 640, 480, seed=k), 1 + 33 * k * MS)
     other = type(PATTERN)(
-        grid=PATTERN.grid, symbols=np.random.default_rng(1).integers(0, 6, PATTERN.symbols.shape), letters=PATTERN.letters
+        grid=PATTERN.grid,
+        symbols=np.random.default_rng(1).integers(0, 6, PATTERN.symbols.shape),
+        letters=PATTERN.letters,
     )
     assert len(tracker.track(camera_image(other, 640, 480), 1 + 100 * MS)) == 0
     assert len(tracker.track(np.zeros((480, 640, 3), np.uint8), 1 + 133 * MS)) == 0

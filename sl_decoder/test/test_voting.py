@@ -1,8 +1,8 @@
 """The paper's voting: weights 9 and 1, one wrong letter corrected."""
 
 import numpy as np
-from pattern_gen import default_pattern
 
+from pattern_gen import default_pattern
 from sl_decoder import placement
 from sl_decoder.codebook import build_codebook
 from sl_decoder.voting import elect, vote

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from sl_common.errors import StructuredLightError
-from sl_common.files import atomic_path, write_text
 from tqdm import tqdm
 
 from pattern_gen import Pattern
+from sl_common.errors import StructuredLightError
+from sl_common.files import atomic_path, write_text
 from sl_decoder.debug import draw
 from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, DecoderOptions
@@ -39,7 +39,9 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--output", required=True, metavar="DIR", help="folder of the CSV files")
     result.add_argument("--debug", metavar="DIR", help="also write overlays <image name>.png into this folder")
     result.add_argument("--bayer", choices=sorted(BAYER), help="images are raw mosaics with this pattern")
-    result.add_argument("--min-confidence", type=float, default=0.5, help="leave less certain dots out (default %(default)s)")
+    result.add_argument(
+        "--min-confidence", type=float, default=0.5, help="leave less certain dots out (default %(default)s)"
+    )
     return result
 
 
@@ -54,7 +56,8 @@ def to_csv(decoded: Decoded) -> str:
 def _summary_line(name: str, decoded: Decoded) -> str:
     reasons = {k: v for k, v in decoded.inspection.counts().items() if k != "decoded"}
     why = ", ".join(f"{v} {k}" for k, v in reasons.items())
-    return f"{name[:40]:40s} {decoded.blobs:7d} {len(decoded):8d} {int(decoded.corrected.sum()):9d} {1e3 * decoded.decode_time:8.1f}  {why}"
+    figures = f"{decoded.blobs:7d} {len(decoded):8d} {int(decoded.corrected.sum()):9d} {1e3 * decoded.decode_time:8.1f}"
+    return f"{name[:40]:40s} {figures}  {why}"
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -64,7 +67,9 @@ def run(arguments: argparse.Namespace) -> None:
     names = [Path(image).stem for image in arguments.images]
     doubles = sorted({name for name in names if names.count(name) > 1})
     if doubles:
-        raise StructuredLightError(f"{len(doubles)} image names occur twice, e.g. '{doubles[0]}': their CSV files would collide")
+        raise StructuredLightError(
+            f"{len(doubles)} image names occur twice, e.g. '{doubles[0]}': their CSV files would collide"
+        )
     pattern = Pattern.load(arguments.pattern)
     colours = None
     if arguments.colours:
