@@ -15,7 +15,9 @@ setup(
     zip_safe=False,
     maintainer="The structured-light positioning maintainers",
     maintainer_email="maintainers@example.org",
-    description="Rotation-invariant perfect maps with a minimum Hamming distance: generation, verification, rendering, projection.",
+    description=(
+        "Rotation-invariant perfect maps with a minimum Hamming distance: generation, verification, rendering."
+    ),
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -1,8 +1,8 @@
 """`--method best`: searches of different kinds take turns at a size; without a size, the size grows.
 
 Depth-first search with back-jumping fills the square grid along its shorter side: the two lines that still matter are
-then short, and back-tracking reaches them soon. On the hexagonal grid, where a cell's window mostly holds cells that were
-filled long ago, and for large distances, the focused local search wins.
+then short, and back-tracking reaches them soon. On the hexagonal grid, where a cell's window mostly holds cells that
+were filled long ago, and for large distances, the focused local search wins.
 """
 
 from __future__ import annotations
@@ -28,9 +28,17 @@ MAX_REPAIR_WINDOWS = 100_000
 class Searcher(Protocol):
     """A search for a map of one size, run in slices."""
 
-    filled: float
     exhausted: bool
-    steps: int
+
+    @property
+    def filled(self) -> float:
+        """How far it is, 0 to 1."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        ...
 
     def run(self, clock: Clock) -> bool:
         """Go on for about SLICE seconds; True: the map is found."""
@@ -131,6 +139,7 @@ def searchers(request: Request, rows: int, cols: int) -> list[Searcher]:
     kinds: list[Searcher] = [DepthFirst(request, rows, cols, request.seed)]
     margin = request.window - 1
     small = (rows - margin) * (cols - margin) <= MAX_REPAIR_WINDOWS
+    cells = rows * cols
     if request.h >= 2 and request.band is None and small:
         if request.grid is Grid.HEXAGONAL:
             for turn, temperature in enumerate(TEMPERATURES[Grid.HEXAGONAL]):
@@ -138,10 +147,12 @@ def searchers(request: Request, rows: int, cols: int) -> list[Searcher]:
         elif request.h >= 4:
             kinds.append(DepthFirst(request, rows, cols, request.seed + 1))
             kinds.append(Repair(request, rows, cols, request.seed, TEMPERATURES[Grid.SQUARE][0]))
-        elif rows * cols < 2_000:
+        elif cells < 2_000:
             kinds.append(DepthFirst(request, rows, cols, request.seed + 1))
-        if rows * cols < 300:
-            kinds.append(DepthFirst(request, rows, cols, request.seed, ascending=True))
+    elif request.h == 1 and request.band is None and cells < 300:
+        kinds.append(Repair(request, rows, cols, request.seed, 0.3))
+    if cells < 300:
+        kinds.append(DepthFirst(request, rows, cols, request.seed, ascending=True))
     return kinds
 
 

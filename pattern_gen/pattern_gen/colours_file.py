@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sl_common.files import read_yaml
-
 from pattern_gen.errors import PatternError
 from pattern_gen.pattern import Letter, Pattern
+from sl_common.files import read_yaml
 
 
 def with_calibrated_colours(pattern: Pattern, path: str | Path) -> Pattern:

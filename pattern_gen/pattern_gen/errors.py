@@ -10,7 +10,7 @@ class PatternError(StructuredLightError):
 
 
 class PatternFileError(PatternError):
-    """A pattern file cannot be used. `path`, `line` (from 1; None if not known) and `reason` are kept for the caller."""
+    """A pattern file cannot be used; `path`, `line` (from 1; None if not known) and `reason` are kept for callers."""
 
     def __init__(self, path: object, line: int | None, reason: str) -> None:
         self.path = str(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +87,7 @@ def growth_order(geometry: WindowGeometry, sizes: list[tuple[int, int]]) -> Fill
     start_rows, start_cols = sizes[0]
     rank[:start_rows, :start_cols] = np.arange(start_rows * start_cols).reshape(start_rows, start_cols)
     filled = start_rows * start_cols
-    for (old_rows, old_cols), (new_rows, new_cols) in zip(sizes[:-1], sizes[1:], strict=True):
+    for (old_rows, old_cols), (new_rows, new_cols) in pairwise(sizes):
         if new_cols > old_cols:
             rank[:new_rows, old_cols] = filled + np.arange(new_rows)
             filled += new_rows

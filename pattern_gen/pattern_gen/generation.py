@@ -42,8 +42,8 @@ class Request:
         window: window size, odd.
         reading: see Reading.
         invariant: False: the camera's roll is known, only windows in the same orientation need differ (section II.B).
-        band: None: all windows differ. k: windows more than k rows apart may be equal, since the epipolar lines, which run
-            along the rows once the projector is calibrated, tell them apart.
+        band: None: all windows differ. k: windows more than k rows apart may be equal, since the epipolar lines, which
+            run along the rows once the projector is calibrated, tell them apart.
         seed: of the random choices; the same seed gives the same map.
     """
 

@@ -2,8 +2,8 @@
 
 Two arrangements of the code words over the columns (or rows):
 
-- REFLECTED: consecutive words differ in one bit, the usual Gray code. Stripes are as wide as can be, so blur hurts least,
-  and a wrong bit at a stripe's edge moves the decoded column by one.
+- REFLECTED: consecutive words differ in one bit, the usual Gray code. Stripes are as wide as can be, so blur hurts
+  least, and a wrong bit at a stripe's edge moves the decoded column by one.
 - MAX_DISTANCE: consecutive words differ in n and n - 1 bits in turn, the greatest distances possible, as the paper's
   section III.B asks for: every other word is the complement of the one before. Neighbouring columns cannot be confused,
   but all frames have stripes of one pixel, which needs a sharp projector and a camera that resolves them.
@@ -39,7 +39,7 @@ def bit_count(length: int) -> int:
 
 
 def code_words(length: int, arrangement: Arrangement = Arrangement.REFLECTED) -> NDArray[np.int64]:
-    """(length,) int64: the word of each column or row, bit 0 of the sequence being the most significant of bit_count bits."""
+    """(length,) int64: the word of each column or row; frame 0 shows the most significant of its bit_count bits."""
     index = np.arange(length, dtype=np.int64)
     if arrangement is Arrangement.REFLECTED:
         return index ^ (index >> 1)

@@ -6,14 +6,13 @@ exp(-conflicts / temperature). All letters of a cell are judged by one look-up p
 cell itself masked out, a stored code at distance below h - 1 conflicts with every letter, one at exactly h - 1 with the
 letter that it has there.
 
-Look-ups use buckets on the letters of some of the other cells: split into b parts, two codes at distance below h agree on
-at least b - h + 1 parts, so tables on all choices of that many parts find them all. By rotation any cell of a window can
-be brought to one position of its class (corner, edge, centre), so each class has its tables.
+Look-ups use buckets on the letters of some of the other cells, see `buckets`. By rotation any cell of a window can be
+brought to one position of its class (corner, edge, centre), so each class has its tables.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -59,7 +58,7 @@ class State(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _letter_at(code: np.uint64, place: int, bits: np.uint64) -> int:
+def _letter_at(code: np.uint64, place: int, bits: np.uint64) -> Any:
     field = (np.uint64(1) << bits) - np.uint64(1)
     return np.int64((code >> (np.uint64(place) * bits)) & field)
 
@@ -152,7 +151,7 @@ def _count(state: State, window: int, change: int) -> None:
 @njit(cache=True)
 def build(state: State, tables: Tables, capacity: int, h: int, own: int) -> bool:
     """Fill codes, tables and conflicts from the symbols. False: a bucket overflowed."""
-    rows, cols = state.symbols.shape
+    cols = state.symbols.shape[1]
     turns, n = state.rotations.shape
     margin = 0
     for i in range(n):
@@ -249,11 +248,11 @@ def _recolour(
     for k in range(m):
         code = state.codes[held[k] * turns]
         pa = position[k]
-        for l in range(k, m):
-            limit = own if l == k else h
-            for turn in range(1 if l == k else 0, turns):
-                other = state.codes[held[l] * turns + turn]
-                pb = state.inverse[turn, position[l]]
+        for j in range(k, m):
+            limit = own if j == k else h
+            for turn in range(1 if j == k else 0, turns):
+                other = state.codes[held[j] * turns + turn]
+                pb = state.inverse[turn, position[j]]
                 if pa == pb:
                     continue
                 differ = fold(code ^ other, state.pack)
@@ -270,7 +269,7 @@ def _recolour(
                 else:
                     continue
                 inner[inner_count, 0] = held[k]
-                inner[inner_count, 1] = held[l]
+                inner[inner_count, 1] = held[j]
                 inner[inner_count, 2] = first
                 inner[inner_count, 3] = second
                 inner_count += 1
@@ -334,8 +333,8 @@ def run(
     weights: NDArray[np.float64],
     steps: int,
 ) -> bool:
-    """Take up to `steps` steps; stops when no conflict is left. False: a bucket overflowed, build again with more room."""
-    rows, cols = state.symbols.shape
+    """Take up to `steps` steps, fewer when no conflict is left. False: a bucket overflowed, build with more room."""
+    cols = state.symbols.shape[1]
     n = state.rotations.shape[1]
     margin = state.offsets[0, n - 1, 1]
     width = cols - 2 * margin

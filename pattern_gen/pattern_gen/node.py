@@ -8,14 +8,6 @@ from pathlib import Path
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
-from sl_common.calibration_files import PROJECTOR_FILE, load_camera
-from sl_common.cameras import CameraModel
-from sl_common.errors import StructuredLightError
-from sl_common.ros import camera_info, images, qos
-from sl_common.ros.diagnostics import OK, Diagnostics
-from sl_common.ros.parameters import declare
-from sl_common.ros.run import run_node
-from sl_common.ros.stamps import to_ns
 from std_msgs.msg import Header
 
 from pattern_gen.colours_file import with_calibrated_colours
@@ -24,6 +16,14 @@ from pattern_gen.gray_code import Arrangement, Axis
 from pattern_gen.pattern import Pattern, default_pattern
 from pattern_gen.projection import FrameRequest, Mode, SpotLimits, adapted_diameter, render_frame
 from pattern_gen.ros_conversions import pattern_to_message
+from sl_common.calibration_files import PROJECTOR_FILE, load_camera
+from sl_common.cameras import CameraModel
+from sl_common.errors import StructuredLightError
+from sl_common.ros import camera_info, images, qos
+from sl_common.ros.diagnostics import OK, Diagnostics
+from sl_common.ros.parameters import declare
+from sl_common.ros.run import run_node
+from sl_common.ros.stamps import to_ns
 from sl_msgs.msg import Pattern as PatternMessage
 from sl_msgs.srv import SetProjection
 
@@ -57,7 +57,8 @@ class PatternPublisher(Node):
         pattern = self._pattern
         self.get_logger().info(
             f"showing pattern {pattern.pattern_id}: {pattern.rows}x{pattern.cols} {pattern.grid.value}, "
-            f"{pattern.alphabet} letters, distance {pattern.min_hamming}, {pattern.projector_width}x{pattern.projector_height} px"
+            f"{pattern.alphabet} letters, distance {pattern.min_hamming}, "
+            f"{pattern.projector_width}x{pattern.projector_height} px"
         )
 
     def _declare_parameters(self) -> None:
@@ -82,7 +83,7 @@ class PatternPublisher(Node):
         )
         self._frame_id = declare(self, "frame_id", "projector_optical_frame", "frame of the messages' headers")
         self._arrangement = Arrangement(
-            declare(self, "gray_code_arrangement", "reflected", "code words of neighbouring columns: differ in one bit, or in most bits",
+            declare(self, "gray_code_arrangement", "reflected", "neighbouring code words differ in one bit, or in most",
                     choices=[arrangement.value for arrangement in Arrangement])
         )  # fmt: skip
         self._resize_period = declare(

@@ -30,21 +30,24 @@ def packing(alphabet: int, cells: int) -> NDArray[np.uint64]:
     bits = field_bits(alphabet)
     if bits * cells > 64:
         raise SearchError(
-            f"a window of {cells} cells with {alphabet} letters needs {bits * cells} bits, more than the 64 that searches "
-            f"with a Hamming distance handle; use a smaller window or at most {2 ** (64 // cells)} letters"
+            f"a window of {cells} cells with {alphabet} letters needs {bits * cells} bits, more than the 64 that "
+            f"searches with a Hamming distance handle; use a smaller window or at most {2 ** (64 // cells)} letters"
         )
     low = sum(1 << (bits * cell) for cell in range(cells))
     return np.array([bits, *FOLDS[bits], low], dtype=np.uint64)
 
 
 @intrinsic
-def popcount(typing_context: Any, value: Any) -> Any:
+def _population_count(typing_context: Any, value: Any) -> Any:
     """Number of set bits of a uint64, as an int64."""
 
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])
 
     return types.int64(types.uint64), codegen
+
+
+popcount: Any = _population_count  # called with one argument from compiled code
 
 
 @njit(inline="always")
@@ -68,7 +71,7 @@ def next_random(state: NDArray[np.uint64]) -> np.uint64:
 
 
 @njit(inline="always")
-def random_below(state: NDArray[np.uint64], n: int) -> int:
+def random_below(state: NDArray[np.uint64], n: int) -> Any:
     """A random integer 0..n-1 (n < 2^31)."""
     return np.int64((next_random(state) >> np.uint64(32)) * np.uint64(n) >> np.uint64(32))
 

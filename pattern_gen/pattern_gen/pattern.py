@@ -21,7 +21,7 @@ HEXAGONAL_COLUMN_PITCH = np.sqrt(3.0) / 2.0  # column distance over row distance
 
 
 class Grid(Enum):
-    """How the spots are arranged. SQUARE: four orientations; HEXAGONAL: odd columns half a row lower, six orientations."""
+    """How the spots are arranged. SQUARE: four orientations; HEXAGONAL: odd columns half a row lower, six."""
 
     SQUARE = "square"
     HEXAGONAL = "hexagonal"
@@ -150,7 +150,7 @@ class Pattern:
 
     @cached_property
     def pattern_id(self) -> str:
-        """Content hash of grid, window, min_hamming, symbols and letters; the same for every spot size and projector."""
+        """Content hash of grid, window, min_hamming, symbols and letters, not of spot size or projector."""
         digest = hashlib.sha256()
         letters = ";".join(f"{r},{g},{b},{letter.shape}" for letter in self.letters for r, g, b in (letter.rgb,))
         head = f"{self.grid.value}|{self.window}|{self.min_hamming}|{self.rows}x{self.cols}|{letters}|"

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from sl_common.files import write_text
 
 from pattern_gen.errors import PatternError, PatternFileError
 from pattern_gen.pattern import Grid, Letter, Pattern
+from sl_common.files import write_text
 
 DIGITS = "0123456789abcdefghijklmnopqrstuvwxyz"
 KEYS = ("grid", "window", "min_hamming", "projector", "pitch", "origin", "spot_diameter", "letters", "rows")

@@ -8,6 +8,7 @@ A shape is cut into thin horizontal strips about its own centre; the integrals o
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +47,7 @@ def coverage(shape: str, diameter: float, offsets: NDArray[np.float64], size: in
         (n, size, size) float64 in [0, 1].
     """
     breaks = SHAPES[shape].breaks
-    parts = [np.linspace(low, high, STRIPS + 1) for low, high in zip(breaks[:-1], breaks[1:], strict=True)]
+    parts = [np.linspace(low, high, STRIPS + 1) for low, high in pairwise(breaks)]
     top = np.concatenate([part[:-1] for part in parts])
     bottom = np.concatenate([part[1:] for part in parts])
     ends = SHAPES[shape].chords(0.5 * (top + bottom)) * diameter  # (strips, k, 2)

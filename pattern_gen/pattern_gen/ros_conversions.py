@@ -53,7 +53,8 @@ def pattern_from_message(message: PatternMessage) -> Pattern:
     for name in ("symbols", "center_u", "center_v"):
         if len(getattr(message, name)) != count or count == 0:
             raise PatternError(
-                f"pattern message: {name} has {len(getattr(message, name))} values, {message.rows}x{message.cols} needs {count}"
+                f"pattern message: {name} has {len(getattr(message, name))} values, "
+                f"{message.rows}x{message.cols} needs {count}"
             )
     grid = kinds[message.grid]
     shape = (message.rows, message.cols)
@@ -82,7 +83,8 @@ def pattern_from_message(message: PatternMessage) -> Pattern:
     if worst > _CENTER_TOLERANCE:
         step = pitch * (1.0 if grid is Grid.SQUARE else HEXAGONAL_COLUMN_PITCH)
         raise PatternError(
-            f"pattern message: centres lie up to {worst:.3f} px off a {grid.value} grid of column distance {step:.3f} px"
+            f"pattern message: centres lie up to {worst:.3f} px off a {grid.value} grid "
+            f"of column distance {step:.3f} px"
         )
     if message.pattern_id != pattern.pattern_id:
         raise PatternError(

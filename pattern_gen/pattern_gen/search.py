@@ -1,4 +1,4 @@
-"""The searches behind `--method paper` and `--method best`, driven in slices so that they report, stop and keep the best."""
+"""Searches driven in slices, so that they report, stop and keep the best; `--method paper`."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def search_map(
         windows, most = (rows - margin) * (cols - margin), most_windows(request)
         if request.band is None and windows > most:
             raise SearchError(
-                f"{rows}x{cols} has {windows} windows, but at most {most} codes of {request.alphabet} letters can differ in "
-                f"{request.h} cells over all rotations; ask for a smaller map, more letters or a smaller distance"
+                f"{rows}x{cols} has {windows} windows, at most {most} codes of {request.alphabet} letters can differ "
+                f"in {request.h} cells over all rotations; ask for a smaller map, more letters or a smaller distance"
             )
     if method == "paper":
         return _paper(request, rows, cols, map_aspect(request, aspect), clock, report)

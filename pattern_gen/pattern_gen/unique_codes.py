@@ -6,7 +6,7 @@ lie side by side. The codes of all rotations of each window are stored: one look
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -39,7 +39,7 @@ class State(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _slot(state: State, code: int) -> int:
+def _slot(state: State, code: int) -> Any:
     """Slot of a code in the hash set, or the empty slot where it belongs."""
     mask = np.int64(state.hashed.shape[0] - 1)
     slot = np.int64((np.uint64(code) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20)) & mask

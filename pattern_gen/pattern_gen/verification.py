@@ -1,8 +1,8 @@
 """Verification of a map, independent of the searches and exact at any size.
 
 Windows and rotations are derived here from the spots' positions in the plane, not from the searches' tables. Two codes
-at distance at most d agree on at least one of d + 1 parts of their cells: sorting by each part in turn brings every such
-pair together, and every pair that meets is compared cell by cell.
+at distance at most d agree on at least one of d + 1 parts of their cells: sorting by each part in turn brings every
+such pair together, and every pair that meets is compared cell by cell.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def closest_pair(
         codes: (orientations, windows, n) as of window_codes.
         band: None, or compare only windows at most so many rows apart.
     """
-    orientations, windows, n = codes.shape
+    _, windows, n = codes.shape
     if windows < 2:
         return None
     flat = codes.reshape(-1, n)
@@ -203,8 +203,8 @@ def closest_pair(
             first, second, gap_found = best
             turn, other_window = divmod(second, windows)
             return Pair(
-                Place(*(int(value) for value in centres[first])),
-                Place(*(int(value) for value in centres[other_window]), turn),
+                Place(int(centres[first, 0]), int(centres[first, 1])),
+                Place(int(centres[other_window, 0]), int(centres[other_window, 1]), turn),
                 gap_found,
             )
     return None
@@ -237,7 +237,7 @@ def verify_map(
             gaps += codes[0, :, cell] != codes[turn, :, cell]
         k = int(gaps.argmin())
         if own is None or gaps[k] < own.distance:
-            place = [int(value) for value in centres[k]]
-            own = Pair(Place(*place), Place(*place, turn), int(gaps[k]))
+            row, col = int(centres[k, 0]), int(centres[k, 1])
+            own = Pair(Place(row, col), Place(row, col, turn), int(gaps[k]))
     closest = closest_pair(codes, centres, alphabet, band=band)
     return Verification(codes.shape[1], closest, own, h, own_limit, len(codes))

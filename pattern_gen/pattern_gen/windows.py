@@ -1,8 +1,8 @@
 """Geometry of windows: which cells a window holds, in which order, and how rotations permute them. Both grids.
 
-A window is named by its centre cell. Its n cells are listed in the order in which a search fills them, so the last one is
-the cell that completes the window: row by row on the square grid, column by column on the hexagonal grid, where each new
-cell then completes exactly one window.
+A window is named by its centre cell. Its n cells are listed in the order in which a search fills them, so the last one
+is the cell that completes the window: row by row on the square grid, column by column on the hexagonal grid, where each
+new cell then completes exactly one window.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class WindowGeometry:
         window: window size w; the windows' centres lie w // 2 cells inside the map.
         offsets: (2, n, 2) int64: (row, col) of each cell relative to the centre, for even and odd centre columns. The
             column offsets are the same for both.
-        rotations: (orientations, n) int64: code of the window rotated k times = code[rotations[k]]; k = 0 is the identity.
+        rotations: (orientations, n) int64: code of the window rotated k times = code[rotations[k]]; k = 0: identity.
     """
 
     grid: Grid
@@ -44,7 +44,7 @@ class WindowGeometry:
         return self.window // 2
 
     def cells(self, rows: int, cols: int) -> NDArray[np.int64]:
-        """(windows, n) flat cell indices of every window of a rows x cols map, windows in row-major order of centres."""
+        """(windows, n) flat cell indices of every window of a rows x cols map, in row-major order of the centres."""
         margin = self.margin
         row, col = np.meshgrid(np.arange(margin, rows - margin), np.arange(margin, cols - margin), indexing="ij")
         offsets = self.offsets[col.reshape(-1) % 2]

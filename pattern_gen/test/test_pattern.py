@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from pattern_gen import Grid, Letter, Pattern, default_pattern
 from pattern_gen.errors import PatternError, PatternFileError
 from pattern_gen.letters import choose_letters, default_letters, intensity_drives

@@ -3,6 +3,7 @@ import pytest
 from brute_force import centroid
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from pattern_gen import Grid, Letter
 from pattern_gen.errors import PatternError
 from pattern_gen.pattern import fit_to_projector
@@ -68,7 +69,10 @@ def test_shapes_differ_visibly():
 
 def test_spots_far_smaller_than_a_pixel_and_huge_maps_render():
     pattern = fit_to_projector(
-        np.zeros((400, 500), np.uint8), (Letter((255, 0, 0)), Letter((0, 255, 0))), projector_width=320, projector_height=240
+        np.zeros((400, 500), np.uint8),
+        (Letter((255, 0, 0)), Letter((0, 255, 0))),
+        projector_width=320,
+        projector_height=240,
     )
     assert pattern.pitch < 1
     assert pattern.render().any()

@@ -5,6 +5,7 @@ import pytest
 from brute_force import least_distances
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from pattern_gen import Grid, generate
 from pattern_gen.best import Repair, size_ladder
 from pattern_gen.errors import SearchError

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from collections.abc import Callable
 
-from sl_common.errors import StructuredLightError
 from tqdm import tqdm
 
 from pattern_gen.generation import Progress
+from sl_common.errors import StructuredLightError
 
 
 def run_command(main: Callable[[argparse.Namespace], None], parser: argparse.ArgumentParser) -> int:
@@ -53,7 +54,11 @@ class ProgressLine:
             return
         if self._bar is None:
             self._bar = tqdm(
-                total=self._limit, unit="s", bar_format="{desc} |{bar}| {n:.0f}/{total:.0f} s", leave=False
+                total=self._limit,
+                unit="s",
+                bar_format="{desc} |{bar}| {n:.0f}/{total:.0f} s",
+                leave=False,
+                ncols=shutil.get_terminal_size().columns,
             )
         best = "none yet" if progress.best is None else f"{progress.best[0]}x{progress.best[1]}"
         self._bar.set_description_str(

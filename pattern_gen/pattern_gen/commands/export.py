@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from sl_common.files import atomic_path
 
 from pattern_gen.commands.cli import run_command
 from pattern_gen.errors import PatternError
 from pattern_gen.pattern import Pattern
+from sl_common.files import atomic_path
 
 
 def make_parser() -> argparse.ArgumentParser:

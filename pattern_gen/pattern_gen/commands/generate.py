@@ -36,10 +36,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--method", choices=["paper", "best"], default="best",
                         help="best: the strongest search (default); paper: section II.B as written")  # fmt: skip
     parser.add_argument("--reading", choices=[reading.value for reading in Reading], default="strict",
-                        help="own rotations of a window: base: any, strict: differ (default), selfdist: HAMMING apart")  # fmt: skip
+                        help="own rotations: base: any, strict: differ (default), selfdist: HAMMING apart")  # fmt: skip
     parser.add_argument("--no-rotation-invariance", action="store_true", help="the camera's roll is known")
     parser.add_argument("--epipolar-band", type=int, metavar="ROWS",
-                        help="windows more than ROWS apart may be equal: epipolar lines along the rows tell them apart")  # fmt: skip
+                        help="windows more than ROWS apart may be equal: epipolar lines tell them apart")  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of the random choices; the same seed gives the same map")
     parser.add_argument("--time-limit", type=float, default=10.0, help="of the search in s (default 10)")
     parser.add_argument("--projector", type=size, default=(1024, 768), metavar="WxH", help="default 1024x768")
@@ -84,12 +84,13 @@ def _run(arguments: argparse.Namespace) -> None:
     ending = ", the search space is exhausted: no larger map of this kind exists" if found.exhausted else ""
     print(
         f"{arguments.output}: {pattern.rows}x{pattern.cols} {pattern.grid.value} map, {pattern.window_count} codes, "
-        f"{pattern.alphabet} letters, distance {pattern.min_hamming}, id {pattern.pattern_id}, found in {found.seconds:.2f} s"
+        f"{pattern.alphabet} letters, distance {pattern.min_hamming}, id {pattern.pattern_id}, "
+        f"found in {found.seconds:.2f} s"
         f"{ending}"
     )
     if pattern.pitch < 3.0:
         print(
-            f"warning: the spots are only {pattern.pitch:.2f} px apart on a projector of {projector[0]}x{projector[1]}; "
+            f"warning: spots only {pattern.pitch:.2f} px apart on a projector of {projector[0]}x{projector[1]}; "
             "give --projector a larger size or ask for a smaller map",
             file=sys.stderr,
         )

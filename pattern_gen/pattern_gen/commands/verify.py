@@ -22,7 +22,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("file", type=Path, help="the pattern file (YAML)")
     parser.add_argument("--hamming", type=int, help="check this distance instead of the file's min_hamming")
     parser.add_argument("--reading", choices=[reading.value for reading in Reading], default="strict",
-                        help="own rotations of a window: base: any, strict: differ (default), selfdist: HAMMING apart")  # fmt: skip
+                        help="own rotations: base: any, strict: differ (default), selfdist: HAMMING apart")  # fmt: skip
     parser.add_argument("--no-rotation-invariance", action="store_true", help="only the given orientation counts")
     parser.add_argument("--epipolar-band", type=int, metavar="ROWS", help="compare only windows at most ROWS apart")
     return parser
