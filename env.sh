@@ -27,4 +27,7 @@ COLCON_CURRENT_PREFIX="$_sl_root/install"
 if [ -n "${ZSH_VERSION:-}" ]; then emulate sh -c '. "$COLCON_CURRENT_PREFIX/local_setup.sh"'; else . "$COLCON_CURRENT_PREFIX/local_setup.sh"; fi
 unset COLCON_CURRENT_PREFIX
 command -v ros2 >/dev/null 2>&1 || export PATH="$PATH:$_sl_root/workspace/bin"
+
+# The matrices are small: threads of a linear algebra library only take cores from other nodes.
+export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}" OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
 unset _sl_file _sl_root

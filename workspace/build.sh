@@ -38,7 +38,7 @@ fi
 (
   # shellcheck source=/dev/null
   set +u; . ./env.sh; set -u
-  for module in pattern_gen.warmup sl_decoder.warmup; do
+  for module in pattern_gen.warmup sl_decoder.warmup sl_sim.warmup; do
     python -c "import importlib.util, sys; sys.exit(importlib.util.find_spec('$module') is None)" || continue
     python -m "$module"
   done
