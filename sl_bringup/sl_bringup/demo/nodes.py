@@ -24,6 +24,7 @@ def calibrator(calibration_folder: Path, session_folder: Path) -> Executable:
         niceness=5,
         calibration_folder=calibration_folder,
         session_folder=session_folder,
+        sample_timeout=20.0,
     )
 
 

@@ -28,6 +28,7 @@ class CalibratorParameters:
     plan: MotionPlanOptions
     motion_duration: float
     motion_settle: float
+    sample_timeout: float
     max_joint_gap: float
     joint_wait: float
 
@@ -73,6 +74,9 @@ def read(node: Node) -> CalibratorParameters:
         ),
         motion_duration=declare(node, "motion_duration", 2.0, "Time of each motion, at least", unit="s", minimum=0.0),
         motion_settle=declare(node, "motion_settle", 0.3, "Rest before a sample", unit="s", minimum=0.01),
+        sample_timeout=declare(
+            node, "sample_timeout", 5.0, "Longest wait for a usable view in ~/run_motion", unit="s", minimum=0.1
+        ),
         max_joint_gap=declare(
             node, "max_joint_gap", 0.1, "Joint states farther apart are not interpolated", unit="s", minimum=0.001
         ),
