@@ -2,10 +2,12 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_positioner.errors import PositionerError
 from arm_positioner.inverse_kinematics import InverseKinematics
 from arm_positioner.limits import JointLimits, from_urdf
 from arm_positioner.planning import Planner
@@ -46,12 +48,12 @@ def benchmark(urdf_xml: str, *, base_frame: str = "base_link", flange_frame: str
     low, high = np.maximum(limits.lower, -1.5), np.minimum(limits.upper, 1.5)
     joints = [rng.uniform(low, high) for _ in range(30)]
     solver = InverseKinematics(arm, limits.lower, limits.upper)
-    follow: list[Callable[[], object]] = []
-    for q in joints:
-        start, pose = q + rng.normal(scale=0.03, size=q.size), arm.forward(q)
-        follow.append(lambda start=start, pose=pose: _quietly(lambda: solver.nearby(pose, start)))
+    follow: list[Callable[[], object]] = [
+        partial(_quietly, partial(solver.nearby, arm.forward(q), q + rng.normal(scale=0.03, size=q.size)))
+        for q in joints
+    ]
     search: list[Callable[[], object]] = [
-        (lambda q=q: _quietly(lambda: solver.solve(arm.forward(q), joints[0]))) for q in joints[:10]
+        partial(_quietly, partial(solver.solve, arm.forward(q), joints[0])) for q in joints[:10]
     ]
     tick = _ticks(Kinematics(urdf_xml, base_frame, flange_frame), Planner(arm, limits), limits)
     replanning = _replans(limits, joints)
@@ -72,7 +74,7 @@ def _quietly(call: Callable[[], object]) -> None:
     """Time failures like successes: a pose near a limit may have no solution."""
     try:
         call()
-    except Exception:
+    except PositionerError:
         return
 
 
@@ -102,7 +104,7 @@ def _ticks(arm: Kinematics, planner: Planner, limits: JointLimits) -> list[float
         supervisor.joint_state(now[0], q)
         if k % 300 == 30:
             goal = target if k % 600 == 30 else arm.forward(middle + np.linspace(0.4, 0.7, limits.size))
-            _quietly(lambda goal=goal: supervisor.begin(Kind.POSE, goal, duration=2.0))  # type: ignore[misc]
+            _quietly(partial(supervisor.begin, Kind.POSE, goal, duration=2.0))
         begun = time.perf_counter()
         state = supervisor.tick()
         if state is not None:
@@ -117,7 +119,7 @@ def _replans(limits: JointLimits, joints: list[Array]) -> list[float]:
     durations = []
     for goal in joints[1:]:
         begun = time.perf_counter()
-        _quietly(lambda goal=goal: stream.move(goal, duration=2.0))  # type: ignore[misc]
+        _quietly(partial(stream.move, goal, duration=2.0))
         durations.append(1e3 * (time.perf_counter() - begun))
         for _ in range(40):
             stream.advance()

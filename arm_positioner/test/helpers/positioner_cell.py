@@ -198,21 +198,27 @@ class Cell:
     def wait_for_rest(self, timeout: float = 5.0) -> None:
         self.wait(lambda: not self.command_times or time.monotonic() - self.command_times[-1] > 0.2, timeout, "rest")
 
+    def in_executor(self, function: Callable):
+        """Call where answers are handled: from elsewhere an answer may come before its request has been noted."""
+        task = self._executor.create_task(function)
+        self.wait(task.done, 5, "the executor")
+        return task.result()
+
     def call(self, client, request, timeout: float = 5.0):
         assert client.wait_for_service(timeout_sec=timeout)
-        future = client.call_async(request)
+        future = self.in_executor(lambda: client.call_async(request))
         self.wait(future.done, timeout, "answer")
         return future.result()
 
     def send_goal(self, **fields):
         """Send a goal and return its handle."""
         assert self.action.wait_for_server(timeout_sec=10)
-        future = self.action.send_goal_async(PositionArm.Goal(**fields))
+        future = self.in_executor(lambda: self.action.send_goal_async(PositionArm.Goal(**fields)))
         self.wait(future.done, 5, "acceptance")
         return future.result()
 
     def result(self, handle, timeout: float = 10.0) -> PositionArm.Result:
-        future = handle.get_result_async()
+        future = self.in_executor(handle.get_result_async)
         self.wait(future.done, timeout, "result")
         return future.result().result
 
