@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,8 +22,17 @@ def warm_up(pattern: Pattern | None = None) -> int:
     tracker = Tracker(decoder)
     found = 0
     for stamp in range(3):
-        found = len(tracker.track(image, stamp * 33_000_000))
+        found = len(tracker.track(image, 1 + stamp * 33_000_000))
         decoder.decode(image)
+    # the paths that a clean image does not take: another pattern beside it, a mirror, nothing of ours at all
+    rng = np.random.default_rng(0)
+    symbols = rng.integers(0, pattern.alphabet, pattern.symbols.shape).astype(np.uint8)
+    other = np.ascontiguousarray(replace(pattern, symbols=symbols).render()[:, :, ::-1])
+    half = image.shape[1] // 2
+    decoder.decode(np.hstack([image[:, :half], other[:, half:]]))
+    decoder.decode(np.ascontiguousarray(image[:, ::-1]))
+    decoder.decode(other)
+    tracker.track(other, 1 + 4 * 33_000_000)
     return found
 
 
