@@ -241,7 +241,9 @@ class Calibrator(Node):
         self._moving = True
         try:
             response.message = await self._motion.run(
-                lambda: self._take(self._settings.sample_timeout), lambda: self._estimate, lambda: self._settings.limits.least_dots
+                lambda: self._take(self._settings.sample_timeout),
+                lambda: self._estimate,
+                lambda: self._settings.limits.least_dots,
             )
             response.success = True
         except StructuredLightError as error:

@@ -20,12 +20,13 @@ from sl_calibration.self_calibration.outliers import (
     drop_views,
     heavy_tails,
     outlier_pose,
+    reinstate,
     reprojection_errors,
     right_observations,
 )
 from sl_calibration.self_calibration.relative_motion import pair_rotations
 from sl_calibration.self_calibration.result import LeftOut, SelfCalibration
-from sl_calibration.self_calibration.views import Observations, View, check_poses, flatten
+from sl_calibration.self_calibration.views import LEAST_DOTS, Observations, View, check_poses, flatten
 from sl_common import transforms
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
@@ -86,6 +87,8 @@ def self_calibrate(
         InvalidInputError: Dots outside the pattern or image, poses that are not rigid or in millimetres.
     """
     options = options or SelfCalibrationOptions()
+    sparse = [v.name for v in views if len(v.row) < LEAST_DOTS]
+    views = [v for v in views if len(v.row) >= LEAST_DOTS]
     check_poses([v.name for v in views], np.array([v.base_from_flange for v in views]).reshape(-1, 4, 4))
     consistency.check_motion(np.array([v.base_from_flange for v in views]).reshape(-1, 4, 4))
     observations = flatten(views, centers)
@@ -99,7 +102,10 @@ def self_calibrate(
     observations, normalised = observations.select(invertible), normalised[invertible]
     pairs = pair_rotations(observations, normalised, focal)
     rotation, good = consistency.check_pairs(pairs, observations.names)
-    warnings = [f"left out: {s}" for s in consistency.describe_outliers(pairs, observations.names, good)]
+    if not good.all():
+        good = reinstate(observations, normalised, focal, rotation, good)
+    warnings = [f"left out: {name} has fewer than {LEAST_DOTS} dots" for name in sparse]
+    warnings += [f"left out: {s}" for s in consistency.describe_outliers(pairs, observations.names, good)]
     observations, normalised = drop_views(observations, good, normalised)
     consistency.check_motion(observations.base_from_flange)
 

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _STEEPEST = 0.05  # [1/px] change of log E; more is an edge, not shading
-_CREASE = 0.05  # largest error of a local plane, as a share of the distance of the dots on the surface
+_BEND = 0.15  # largest error of a local plane, as a share of the distance of the dots on the surface
+_CREASE = 0.01  # largest error of a local quadric, likewise
 _GRAZING = 0.15  # cosine of the angle of incidence below which the light cannot be trusted
 _STEP = 2.0  # [projector px] of the differences
 
@@ -60,7 +61,8 @@ def displacements(
     light, known = _light(neighbours, in_projector)
     light_slope, _, complete = neighbours.linear(np.where(known, light, np.nan)[:, None], 9)
     light_slope = light_slope[:, 0]
-    surface, solid = neighbours.quadratic(1.0 / in_projector[:, 2])
+    coefficients, _, solid = neighbours.quadratic(1.0 / in_projector[:, 2:])
+    surface = coefficients[:, :, 0]
     known &= complete & solid
     known &= np.linalg.norm(np.nan_to_num(light_slope, nan=1.0), axis=-1) < _STEEPEST
 
@@ -102,13 +104,14 @@ def _displacement(x: Array, light_slope: Array) -> Array:
 def _light(neighbours: "_Neighbourhood", in_projector: Array) -> tuple[Array, BoolArray]:
     """Return log E (K,) up to a constant, and where the surface is smooth enough to trust it."""
     tangents, error, solid = neighbours.linear(in_projector)
+    _, crease, _ = neighbours.quadratic(in_projector)
     normal = np.cross(tangents[:, :, 0], tangents[:, :, 1])
     distance = np.linalg.norm(in_projector, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         cosine = np.abs((normal * in_projector).sum(-1)) / (np.linalg.norm(normal, axis=-1) * distance)
         light = np.log(cosine) - 2 * np.log(distance)
         step = np.linalg.norm(tangents, axis=(-2, -1)) * neighbours.spacing
-        known = solid & np.isfinite(light) & (cosine > _GRAZING) & (error < _CREASE * step)
+        known = solid & np.isfinite(light) & (cosine > _GRAZING) & (error < _BEND * step) & (crease < _CREASE * step)
     return light, known
 
 
@@ -153,10 +156,10 @@ class _Neighbourhood:
         coefficients, error, solid = self._fit(values, basis, least)
         return np.swapaxes(coefficients[:, 1:], -1, -2), error, solid
 
-    def quadratic(self, values: Array) -> tuple[Array, BoolArray]:
-        """Return 1, u, v, uu/2, uv, vv/2 coefficients (K, 6) of values (K,) about each dot, and the validity (K,)."""
+    def quadratic(self, values: Array) -> tuple[Array, Array, BoolArray]:
+        """Return the 1, u, v, uu/2, uv, vv/2 coefficients (K, 6, n) of values (K, n), errors (K,) and validity (K,)."""
         u, v = self._offset[:, :, 0] / self.spacing, self._offset[:, :, 1] / self.spacing
         basis = np.stack([np.ones_like(u), u, v, u * u / 2, u * v, v * v / 2], axis=-1)
-        coefficients, _, solid = self._fit(values[:, None], basis, 7)
+        coefficients, error, solid = self._fit(values, basis, 7)
         units = np.array([1.0, self.spacing, self.spacing, *[self.spacing**2] * 3])
-        return coefficients[:, :, 0] / units, solid
+        return coefficients / units[:, None], error, solid

@@ -87,11 +87,14 @@ def _camera(entry: dict[str, Any], model: str | None) -> CameraModel:
     )
     size = int(entry["width"]), int(entry["height"])
     pers_f = entry.get("pers_f")
-    if model == "pers" or (model is None and pers_f):
-        if not pers_f:
-            raise InvalidInputError("distortion_model is pers but camera.pers_f is missing")
+    # The model is named, or described by its formula: r_u = f sinh(r / f).
+    name = "pers" if model is not None and ("pers" in model.lower() or "sinh" in model) else model
+    if pers_f and name not in ("plumb_bob", "none"):
         # The file gives the constant in pixels, as the focal lengths; the model works in normalised coordinates.
         return CameraModel(*size, matrix, "pers", (float(pers_f) / matrix[0, 0],))
+    if name == "pers":
+        raise InvalidInputError("distortion_model is pers but camera.pers_f is missing")
+    model = name
     if model == "plumb_bob":
         coefficients = entry.get("coefficients", entry.get("distortion_coefficients"))
         if coefficients is None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sl_calibration.self_calibration import lens
 from sl_calibration.self_calibration.bundle_problem import Problem, State, camera_points
-from sl_calibration.self_calibration.initialise import LinearSolution
+from sl_calibration.self_calibration.initialise import LinearSolution, translation_and_points
 from sl_calibration.self_calibration.noise_model import robust_scale
 from sl_calibration.self_calibration.views import Observations
 from sl_calibration.triangulation import camera_from_projector, triangulate
@@ -17,6 +17,9 @@ from sl_common.cameras import CameraModel
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+PLAUSIBLE = 10.0
+"""A view whose dots lie within this median distance [px] of where its pose puts them is left to the adjustment."""
 
 POSE_THRESHOLD = 5.0
 """A flange pose off by more than this many standard deviations (robustly estimated) is an outlier."""
@@ -114,6 +117,28 @@ def complete_points(
     for k in np.unique(observations.point[order]):
         points[k] = np.median(single[order[observations.point[order] == k]], axis=0)
     return points
+
+
+def reinstate(
+    observations: Observations, normalised: Array, focal: float, hand_eye: Array, good: BoolArray
+) -> BoolArray:
+    """Return ``good`` (V,) with those views added whose dots, known from the good views, lie where their pose says.
+
+    The essential matrix of two views with few common dots can be wrong where both poses are right.
+    """
+    kept, kept_normalised = drop_views(observations, good, normalised)
+    linear = translation_and_points(kept, kept_normalised, focal, hand_eye)
+    out = good.copy()
+    for i in np.flatnonzero(~good):
+        mine = np.flatnonzero((observations.view == i) & np.isfinite(linear.points[observations.point]).all(-1))
+        camera_from_base = transforms.inverse(observations.base_from_flange[i] @ linear.flange_from_camera)
+        seen = transforms.apply(camera_from_base, linear.points[observations.point[mine]])
+        if len(mine) == 0:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = focal * np.linalg.norm(seen[:, :2] / seen[:, 2:] - normalised[mine], axis=-1)
+        out[i] = np.median(np.where(seen[:, 2] > 0, error, np.inf)) < PLAUSIBLE
+    return out
 
 
 @dataclass(frozen=True)
