@@ -58,8 +58,8 @@ def parse(arguments: list[str] | None = None) -> Options:
     parser.add_argument(
         "--calibration",
         choices=("self", "nominal"),
-        default="self",
-        help="self: the system calibrates itself first; nominal: the cell's values with realistic errors (default: %(default)s)",
+        help="self: the system calibrates itself first (default); nominal: the cell's values with realistic errors "
+        "(default with --short)",
     )
     parser.add_argument("--output", type=Path, default=Path("demo_output"), help="folder, replaced (default: %(default)s)")
     parser.add_argument("--short", action="store_true", help="no pictures, no bag, a quicker motion: for CI")
@@ -70,6 +70,7 @@ def parse(arguments: list[str] | None = None) -> Options:
         parser.error(f"--standoff {parsed.standoff:g} is not within 0.05 to 2 m")
     if not 0 <= parsed.duration <= 60:
         parser.error(f"--duration {parsed.duration:g} is not within 0 to 60 s")
+    parsed.calibration = parsed.calibration or ("nominal" if parsed.short else "self")
     return Options(**vars(parsed))
 
 
