@@ -53,12 +53,14 @@ class ProgressLine:
         if progress.seconds < 2.0 or not sys.stderr.isatty():
             return
         if self._bar is None:
+            columns, lines = shutil.get_terminal_size()  # a terminal of unknown size reports 0x0; this falls back
             self._bar = tqdm(
                 total=self._limit,
                 unit="s",
                 bar_format="{desc} |{bar}| {n:.0f}/{total:.0f} s",
                 leave=False,
-                ncols=shutil.get_terminal_size().columns,
+                ncols=columns,
+                nrows=lines,
             )
         best = "none yet" if progress.best is None else f"{progress.best[0]}x{progress.best[1]}"
         self._bar.set_description_str(
