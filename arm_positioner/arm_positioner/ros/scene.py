@@ -33,6 +33,10 @@ _PAIRING_WAIT = 0.1
 """How long a cloud or goal waits for the joint state behind its stamp [s]."""
 
 
+_RESPONSE = 0.2
+"""How far ahead a followed target is aimed at [s]: about the time the arm takes to get there."""
+
+
 class Scene:
     """Turns clouds and goals into camera poses in the base frame, each with the arm as it stood at its stamp."""
 
@@ -86,7 +90,7 @@ class Scene:
         except StructuredLightError as error:
             self._complaints.warn(f"point cloud not used: {error}")
             return
-        pose = self._sight.expected(time.monotonic()) if task.follow else task.target
+        pose = self._sight.expected(time.monotonic() + _RESPONSE) if task.follow else task.target
         if task.follow and not nearly_equal(pose, task.target):
             self._supervisor.retarget(task, pose)
         else:
