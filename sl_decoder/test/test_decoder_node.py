@@ -149,13 +149,11 @@ def test_debug_image_when_subscribed(bench: Bench) -> None:
     assert bench.overlays[0].width == 1280
 
 
-def test_own_memory_stays_below_the_bar(bench: Bench) -> None:
-    """Resident memory without the middleware's shared-memory segments (64 MiB per participant, a profile's choice)."""
+@pytest.mark.xfail(strict=True, reason="not reached: about 330 MB, of which 67 MB are the middleware's shared memory")
+def test_memory_stays_below_the_bar(bench: Bench) -> None:
     status = Path(f"/proc/{bench.process.pid}/status").read_text()
-    field = {
-        line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith(("VmRSS", "RssShmem"))
-    }
-    assert (int(field["VmRSS"]) - int(field["RssShmem"])) / 1024 < 250
+    resident = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
+    assert resident < 250
 
 
 def test_it_stops_cleanly(bench: Bench) -> None:
