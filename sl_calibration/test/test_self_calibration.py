@@ -23,7 +23,7 @@ from sl_calibration.self_calibration.errors import (
 )
 from sl_calibration.self_calibration.inputs import load_motion, load_views
 from sl_calibration.self_calibration.noise_model import correlation_inflation
-from sl_calibration.self_calibration.views import flatten
+from sl_calibration.self_calibration.views import View, flatten
 from sl_common import calibration_files, transforms
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError

@@ -18,6 +18,9 @@ REFUSED_FOCAL = 0.03
 REFUSED_CENTRE = 0.05
 """Standard deviation of its principal point as a share of the focal length."""
 
+FLAT = 0.003
+"""Relief of the scene (RMS distance from its best plane) as a share of its extent below which it counts as a plane."""
+
 WEAK = 0.1
 """Share of the above from which on a warning says what to add."""
 
@@ -48,7 +51,7 @@ def check_determined(result: SelfCalibration, problem: Problem) -> list[str]:
             f" {np.degrees(rotation):.2f} deg (one sigma); {turn}; add views turned by 20 deg or more about"
             " two different axes"
         )
-    if focal > REFUSED_FOCAL or centre > REFUSED_CENTRE:
+    if focal > REFUSED_FOCAL or centre > REFUSED_CENTRE or result.scene_depth < FLAT * extent:
         raise DegenerateSceneError(
             f"the projector is not determined: focal length to {100 * focal:.1f} %, principal point to"
             f" {centre * result.projector.matrix[0, 0]:.0f} px (one sigma); {depth}; put objects of different height"

@@ -73,16 +73,17 @@ def pair_rotations(observations: Observations, normalised: Array, focal: float) 
     if len(order) > _MOST_PAIRS:
         # Keep every view's best pairs rather than the best pairs overall.
         order = order[np.linspace(0, len(order) - 1, _MOST_PAIRS).astype(int)]
+    flange = observations.base_from_flange[:, :3, :3]
     found: list[tuple[int, int, Array, float]] = []
     for i, j in zip(first[order], second[order], strict=True):
         both = np.flatnonzero(seen[i] & seen[j])
         both = both[np.linspace(0, len(both) - 1, min(len(both), _MOST_DOTS)).astype(int)]
-        estimate = _relative_rotation(normalised[table[i, both]], normalised[table[j, both]], focal)
+        flange_angle = float(transforms.rotation_angle(flange[i].T @ flange[j]))
+        estimate = _relative_rotation(normalised[table[i, both]], normalised[table[j, both]], focal, flange_angle)
         if estimate is not None:
             found.append((int(i), int(j), *estimate))
     a = np.array([f[0] for f in found], dtype=np.int64)
     b = np.array([f[1] for f in found], dtype=np.int64)
-    flange = observations.base_from_flange[:, :3, :3]
     return PairRotations(
         first=a,
         second=b,
@@ -93,13 +94,21 @@ def pair_rotations(observations: Observations, normalised: Array, focal: float) 
     )
 
 
-def _relative_rotation(a: Array, b: Array, focal: float) -> tuple[Array, float] | None:
-    """Return camera_a_from_camera_b's rotation and the share of dots that agree, or None."""
+def _relative_rotation(a: Array, b: Array, focal: float, flange_angle: float) -> tuple[Array, float] | None:
+    """Return camera_a_from_camera_b's rotation and the share of dots that agree, or None.
+
+    Dots on a plane allow two rotations; then the one whose angle is nearer to the flange's is taken.
+    """
     rotation, error = _pure_rotation(a, b)
     agree = error * focal < _THRESHOLD
     if agree.mean() > 0.8:  # hardly any parallax: the essential matrix would be arbitrary
         return _pure_rotation(a[agree], b[agree])[0], float(agree.mean())
     matrix = np.diag([focal, focal, 1.0])
+    flat = _plane_rotations(a, b, focal)
+    if flat is not None:
+        rotations, share = flat
+        angles = transforms.rotation_angle(rotations)
+        return rotations[int(np.argmin(np.abs(angles - flange_angle)))], share
     essential, mask = cv2.findEssentialMat(
         b * focal, a * focal, matrix, method=cv2.USAC_MAGSAC, prob=0.9999, threshold=_THRESHOLD
     )
@@ -107,6 +116,19 @@ def _relative_rotation(a: Array, b: Array, focal: float) -> tuple[Array, float] 
         return None
     _, rotation, _, _ = cv2.recoverPose(essential, b * focal, a * focal, matrix, mask=mask.copy())
     return rotation, float(mask.mean())
+
+
+def _plane_rotations(a: Array, b: Array, focal: float) -> tuple[Array, float] | None:
+    """Return the rotations (1 or 2, 3, 3) that a homography allows and its share of dots; None: a scene with depth."""
+    homography, mask = cv2.findHomography(b, a, cv2.RANSAC, _THRESHOLD / focal)
+    if homography is None or mask.mean() < 0.8:
+        return None
+    rays = np.column_stack([b, np.ones(len(b))])[mask.ravel() > 0]
+    _, rotations, _, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
+    # The plane lies in front of the camera: its normal makes an acute angle with every ray. Twins differ in sign only.
+    facing = [(rays @ n).min() * (rays @ n).max() > 0 and (rays @ n).mean() > 0 for n in normals]
+    kept = [r for r, f in zip(rotations, facing, strict=True) if f]
+    return (np.array(kept), float(mask.mean())) if kept else None
 
 
 def _pure_rotation(a: Array, b: Array) -> tuple[Array, Array]:
