@@ -68,15 +68,15 @@ def map_aspect(request: Request, image_aspect: float) -> float:
 
 
 def most_windows(request: Request) -> int:
-    """Upper bound of the number of windows: Hamming and Singleton bound over the number of orientations."""
+    """Upper bound of the number of windows: Hamming and Singleton bound."""
     cells = window_geometry(request.grid, request.window).size
     a, h = request.alphabet, request.h
     ball = sum(comb(cells, i) * (a - 1) ** i for i in range((h - 1) // 2 + 1))
     codes = min(a**cells // ball, a ** (cells - h + 1))
     if request.orientations == 1:
         return codes
-    # a window that equals its own rotation has fewer orientations
-    return codes if request.own == 0 else codes // request.orientations
+    # only where a window's own rotations are h apart, too, does each window take up one code for every orientation
+    return codes // request.orientations if request.own >= request.h else codes
 
 
 def search_map(

@@ -89,6 +89,12 @@ def test_all_binary_hexagons_fit_into_6x9_when_symmetric_ones_count():
     check(search_map(request, rows=6, cols=9, time_limit=60.0).symbols, request)
 
 
+def test_bounds_do_not_refuse_what_exists():
+    """Own rotations may be closer than h in the STRICT reading: three windows fit where h-apart rotations allow two."""
+    request = Request(alphabet=2, h=3, grid=Grid.HEXAGONAL)
+    check(search_map(request, rows=3, cols=5, time_limit=60.0).symbols, request)
+
+
 def test_the_papers_map_is_found_at_once():
     request = Request(alphabet=6, h=3)
     search_map(request, rows=5, cols=5)  # loads the machine code
