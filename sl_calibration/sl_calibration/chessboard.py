@@ -14,7 +14,7 @@ from sl_common.errors import InvalidInputError
 Array = NDArray[np.float64]
 
 _SCALES = (1.0, 0.5, 2.0)
-_MAX_PIXELS = 8e6
+_MAX_PIXELS = 3e6
 _LARGEST_SQUARE = 1.0
 
 
@@ -97,12 +97,12 @@ def detect_corners(image: NDArray[np.uint8], board: Board) -> Array:
         if gray.size * scale**2 > _MAX_PIXELS and scale > 1:
             continue
         corners = _sector_based(gray, size, scale)
-        if corners is not None:
+        if corners is not None and _alternates(gray, corners, board):
             return _oriented(corners, board)
     found = _any_board(gray)
     if found is None or min(found) < 4 or sorted(found) == sorted(size):
         corners = _older_detector(gray, size)
-        if corners is not None:
+        if corners is not None and _alternates(gray, corners, board):
             return _oriented(corners, board)
     if found is None:
         raise BoardNotFoundError(f"no chessboard of {board} inner corners found")
@@ -153,6 +153,29 @@ def _refined(gray: NDArray[np.uint8], corners: Array, size: tuple[int, int]) -> 
         if np.linalg.norm(refined - corner) < half:
             out[k] = refined
     return out
+
+
+def _alternates(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
+    """Whether dark and bright squares meet at the corners of every outer row and column.
+
+    A detector that is asked for a larger board than there is may continue the grid over the board's margin.
+    """
+    grid = corners.reshape(board.rows, board.columns, 2)
+    x, y = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    around = np.stack([grid + 0.4 * (a * x + b * y) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]).astype(
+        np.float32
+    )
+    values = cv2.remap(
+        cv2.GaussianBlur(gray, (3, 3), 0),
+        around[..., 0].reshape(4, -1),
+        around[..., 1].reshape(4, -1),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).reshape(4, board.rows, board.columns)
+    same, other = np.sort(values[:2], axis=0), np.sort(values[2:], axis=0)
+    saddle = (same[0] > other[1]) | (other[0] > same[1])
+    sides = (saddle[0], saddle[-1], saddle[:, 0], saddle[:, -1])
+    return bool(saddle.mean() > 0.8 and min(side.mean() for side in sides) > 0.5)
 
 
 def _any_board(gray: NDArray[np.uint8]) -> tuple[int, int] | None:

@@ -55,6 +55,11 @@ def colour_chart_samples(frames: NDArray[np.uint8], intensity_frames: NDArray[np
         )
     pixels = _choose(frames)
     seen = frames[:, pixels[:, 0], pixels[:, 1], ::-1].astype(np.float64)  # (F, P, 3) R G B
+    saturated = float((seen.max(axis=0) >= 252).any(-1).mean())
+    if saturated > 0.9:
+        raise InvalidInputError(
+            f"the camera saturates on {100 * saturated:.0f} % of the lit places: shorten the exposure until white is not"
+        )
     patch = _patches(seen)
     found = patch >= 0
     if found.sum() < max(50, 0.3 * len(found)):
@@ -71,10 +76,6 @@ def colour_chart_samples(frames: NDArray[np.uint8], intensity_frames: NDArray[np
     dark = by_drive[black]
     bright = by_drive[white] - dark
     unsaturated = (by_drive[white] < 252).all(-1)
-    if unsaturated.mean() < 0.1:
-        raise InvalidInputError(
-            f"the camera saturates at white on {100 * (1 - unsaturated.mean()):.0f} % of the lit places: shorten the exposure"
-        )
     keep = unsaturated & (bright > 5).all(-1)
     if keep.sum() < 20:
         raise InvalidInputError(f"only {keep.sum()} places see all three colours of the chart: raise the exposure")
