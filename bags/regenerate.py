@@ -1,4 +1,4 @@
-"""Regenerate the bags of this folder: `source env.sh; python bags/regenerate.py`. The same messages come out every time."""
+"""Regenerate the bags of this folder: `source env.sh; python bags/regenerate.py`. The same come out each time."""
 
 import shutil
 import sys

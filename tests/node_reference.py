@@ -16,10 +16,11 @@ from typing import Any
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.topic_endpoint_info import TopicEndpointTypeEnum
-from sl_bringup.processes import share_folder
-from sl_common.ros.qos import LATCHED, describe
 from stack_testing.running import Stack, running_stack, wait_for
 from std_msgs.msg import String
+
+from sl_bringup.processes import share_folder
+from sl_common.ros.qos import LATCHED, describe
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 

@@ -18,7 +18,7 @@ def demo(output, *arguments):
 
 
 def processes_about(path):
-    """Return the live processes whose command line names a path: all nodes of a demo name its calibration or their parent."""
+    """Return the live processes that inherited the mark of a demo with this output."""
     found = []
     for entry in os.listdir("/proc"):
         if not entry.isdigit() or int(entry) == os.getpid():
@@ -118,7 +118,9 @@ def test_a_folder_that_is_not_a_demos_output_is_left_alone(tmp_path):
     assert (tmp_path / "precious.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("arguments", [["--standoff", "9"], ["--duration", "-1"], ["--calibration", "guess"], ["extra"]])
+@pytest.mark.parametrize(
+    "arguments", [["--standoff", "9"], ["--duration", "-1"], ["--calibration", "guess"], ["extra"]]
+)
 def test_wrong_usage_is_exit_code_2(arguments, tmp_path):
     done = subprocess.run(demo(tmp_path / "out", *arguments), capture_output=True, text=True, timeout=60)
     assert done.returncode == 2

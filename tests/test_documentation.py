@@ -16,7 +16,8 @@ def declared(path):
     helpers = {
         node.name
         for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) and any(isinstance(n, ast.Name) and n.id == "declare" for n in ast.walk(node))
+        if isinstance(node, ast.FunctionDef)
+        and any(isinstance(n, ast.Name) and n.id == "declare" for n in ast.walk(node))
     }
     names = set()
     for node in ast.walk(tree):

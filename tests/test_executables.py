@@ -7,15 +7,19 @@ import subprocess
 import time
 
 import pytest
-from sl_bringup.isolation import environment, free_domain
 from stack_testing import packages
 from stack_testing.running import START_UP, wait_for
+
+from sl_bringup.isolation import environment, free_domain
 
 EXECUTABLES = packages.executables()
 COMMANDS = sorted(set(EXECUTABLES) - set(packages.NODES))
 INPUTS = {
     "pattern_publisher": [],
-    "decoder": ["/pattern (sl_msgs/msg/Pattern; reliable, transient local", "/camera/image_raw (sensor_msgs/msg/Image; best effort"],
+    "decoder": [
+        "/pattern (sl_msgs/msg/Pattern; reliable, transient local",
+        "/camera/image_raw (sensor_msgs/msg/Image; best effort",
+    ],
     "triangulator": [
         "/correspondences (sl_msgs/msg/Correspondences; best effort",
         "/joint_states (sensor_msgs/msg/JointState; best effort",
@@ -113,7 +117,9 @@ def test_an_unknown_executable_or_package_is_one_line():
         assert expected in (done.stdout + done.stderr).lower()
 
 
-@pytest.mark.skipif(shutil.which("ros2") is not None and "workspace" not in str(shutil.which("ros2")), reason="real ros2cli")
+@pytest.mark.skipif(
+    shutil.which("ros2") is not None and "workspace" not in str(shutil.which("ros2")), reason="real ros2cli"
+)
 def test_the_stand_in_for_ros2_says_that_it_knows_run_only():
     command = f"source {packages.ROOT}/env.sh && ros2 topic list"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60)
@@ -122,7 +128,9 @@ def test_the_stand_in_for_ros2_says_that_it_knows_run_only():
 
 
 @pytest.mark.xdist_group("processes")
-@pytest.mark.parametrize(("node", "parameter"), [("decoder", "min_confidence:=3.0"), ("positioner", "rate:=fast"), ("cell", "scene:=moon")])
+@pytest.mark.parametrize(
+    ("node", "parameter"), [("decoder", "min_confidence:=3.0"), ("positioner", "rate:=fast"), ("cell", "scene:=moon")]
+)
 def test_a_bad_parameter_is_one_line_and_exit_code_1(node, parameter, tmp_path):
     with free_domain() as domain:
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Bad input over real DDS: one clear line, the node alive, nothing published from it, and good input works afterwards."""
+"""Bad input over real DDS: one clear line, the node alive, nothing published from it, good input works afterwards."""
 
 import re
 import shutil
@@ -7,13 +7,13 @@ import time
 import numpy as np
 import pytest
 from sensor_msgs.msg import PointCloud2
-from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
-from sl_common.ros.stamps import from_ns, to_ns
 from stack_testing import recorded
 from stack_testing.running import START_UP, Log, running_stack, wait_for
 from std_msgs.msg import Float64MultiArray
 
-from sl_msgs.msg import Correspondences, Pattern, PositionerStatus
+from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
+from sl_common.ros.stamps import from_ns, to_ns
+from sl_msgs.msg import Correspondences, PositionerStatus
 
 pytestmark = pytest.mark.xdist_group("processes")
 
@@ -48,7 +48,9 @@ class Chain:
         """The first recorded image and the joint states around it, stamped as now."""
         image = recorded.messages("/camera/image_raw")[0]
         recorded_at = to_ns(image.header.stamp)
-        states = [m for m in recorded.messages("/joint_states") if abs(to_ns(m.header.stamp) - recorded_at) < 60_000_000]
+        states = [
+            m for m in recorded.messages("/joint_states") if abs(to_ns(m.header.stamp) - recorded_at) < 60_000_000
+        ]
         shift = self.now() - recorded_at - 60_000_000
         for message in [image, *states]:
             message.header.stamp = from_ns(to_ns(message.header.stamp) + shift)
@@ -170,7 +172,7 @@ def test_a_pattern_of_the_wrong_length_is_refused_by_the_decoder(chain):
 
 
 def test_correspondences_of_another_pattern_give_no_points(chain):
-    message, states = chain.correspondences()
+    message, _ = chain.correspondences()
     [log] = chain.listen_to(chain.triangulator)
     seen = len(chain.points)
     message.pattern_id = "another"
@@ -255,7 +257,9 @@ def broken_calibration(folder, name):
     if name == "binary":
         (folder / "projector_pose.yaml").write_bytes(b"\xff\xfe\x00\x80")
         return ["projector_pose.yaml"]
-    (folder / "hand_eye.yaml").write_text("flange_from_camera: [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n")
+    (folder / "hand_eye.yaml").write_text(
+        "flange_from_camera: [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+    )
     return ["hand_eye.yaml", "rigid"]
 
 
@@ -319,4 +323,3 @@ def test_a_file_given_by_parameter_that_cannot_be_read_is_one_line_and_exit_code
         assert len(errors) == 1
         assert str(path) in errors[0]
         assert "Traceback" not in process.output()
-

@@ -1,4 +1,4 @@
-"""Algorithms never import rclpy or a message package, directly or through another module; dependencies point one way."""
+"""Algorithms never import rclpy or a message package, directly or through others; dependencies point one way."""
 
 import ast
 

@@ -6,6 +6,9 @@ import sys
 import numpy as np
 import pytest
 from sensor_msgs.msg import PointCloud2
+from stack_testing import recorded
+from stack_testing.running import START_UP, Log, wait_for
+
 from sl_bringup.bag.reader import BagReader
 from sl_bringup.processes import Executable
 from sl_common import transforms
@@ -13,9 +16,6 @@ from sl_common.calibration_files import load_calibration
 from sl_common.ros import clouds
 from sl_common.ros.qos import STREAM_PUBLISH
 from sl_common.ros.stamps import to_ns
-from stack_testing import recorded
-from stack_testing.running import START_UP, Log, wait_for
-
 from sl_msgs.msg import Correspondences
 
 pytestmark = pytest.mark.xdist_group("processes")
@@ -30,7 +30,9 @@ def test_the_bag_through_decoder_and_triangulator_matches_its_truth(stack):
     Log(decoder).wait_for(r"ready|waiting", START_UP)
     Log(triangulator).wait_for(r"calibration loaded", START_UP)
     # a slow rate: the test is of what comes out, not of how fast this machine is
-    replay = stack.run(Executable("sl_bringup", "replay", arguments=[str(recorded.WAVY), "--rate", "0.25", "--wait", "60"]))
+    replay = stack.run(
+        Executable("sl_bringup", "replay", arguments=[str(recorded.WAVY), "--rate", "0.25", "--wait", "60"])
+    )
     wait_for(lambda: replay.returncode is not None, START_UP + 60, "end of the replay")
     assert replay.returncode == 0, replay.output()
     wait_for(lambda: len(points) >= 4, 10, "point clouds")
@@ -59,8 +61,8 @@ def test_the_bag_through_decoder_and_triangulator_matches_its_truth(stack):
 def test_replay_publishes_every_message_with_its_qos_and_the_clock(stack):
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import JointState
-    from sl_common.ros.qos import LATCHED
 
+    from sl_common.ros.qos import LATCHED
     from sl_msgs.msg import Pattern
 
     states = stack.peer.listen(JointState, "/joint_states", 1000)

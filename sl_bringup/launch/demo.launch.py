@@ -1,6 +1,6 @@
-"""The chain on the simulated cell, to watch in RViz and to play with; `ros2 run sl_bringup demo` is the one that measures.
+"""The chain on the simulated cell, to watch in RViz; `ros2 run sl_bringup demo` is the one that measures.
 
-    ros2 launch sl_bringup demo.launch.py scene:=wavy rviz:=true
+ros2 launch sl_bringup demo.launch.py scene:=wavy rviz:=true
 """
 
 from launch import LaunchDescription

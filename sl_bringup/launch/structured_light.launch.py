@@ -13,7 +13,11 @@ from launch_ros.actions import Node, SetRemap
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = [
-    ("calibration_folder", "calibration", "folder with camera.yaml, projector.yaml, hand_eye.yaml, projector_pose.yaml"),
+    (
+        "calibration_folder",
+        "calibration",
+        "folder with camera.yaml, projector.yaml, hand_eye.yaml, projector_pose.yaml",
+    ),
     ("pattern_file", "", "pattern to project; empty: the shipped one"),
     ("image", "camera/image_raw", "the camera driver's image topic"),
     ("camera_info", "camera/camera_info", "the camera driver's camera_info topic"),
@@ -37,7 +41,9 @@ def generate_launch_description() -> LaunchDescription:
 
     def node(package: str, name: str, *parameters: dict, **options: object) -> Node:
         file = PathJoinSubstitution([share, "config", f"{name}.yaml"])
-        return Node(package=package, executable=name, name=name, output="screen", parameters=[file, *parameters], **options)
+        return Node(
+            package=package, executable=name, name=name, output="screen", parameters=[file, *parameters], **options
+        )
 
     frames = {"base_frame": value("base_frame"), "flange_frame": value("flange_frame")}
     folder = {"calibration_folder": value("calibration_folder")}
@@ -54,15 +60,16 @@ def generate_launch_description() -> LaunchDescription:
     ]
     return LaunchDescription(
         [
-            *(DeclareLaunchArgument(name, default_value=default, description=text) for name, default, text in ARGUMENTS),
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=text)
+                for name, default, text in ARGUMENTS
+            ),
             *remaps,
             node("pattern_gen", "pattern_publisher", {"pattern_file": value("pattern_file")}),
             node("sl_decoder", "decoder"),
             node("sl_calibration", "triangulator", folder, frames),
             node("sl_calibration", "calibrator", folder, frames, condition=IfCondition(value("calibrate"))),
-            node(
-                "arm_positioner", "positioner", folder, frames, {"command_interface": value("command_interface")}
-            ),
+            node("arm_positioner", "positioner", folder, frames, {"command_interface": value("command_interface")}),
             Node(
                 package="rviz2",
                 executable="rviz2",

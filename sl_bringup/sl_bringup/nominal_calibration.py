@@ -1,4 +1,4 @@
-"""A calibration folder as a previous calibration of the cell would have left it: nominal values with realistic errors."""
+"""A calibration folder as an earlier calibration would have left it: nominal values with realistic errors."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class CalibrationErrors:
     """Standard deviations of a calibration's errors.
 
-    The defaults are those of a good self-calibration from a dozen views: about one and a half times the Cramer-Rao limit at
+    The defaults are those of a good self-calibration from a dozen views: 1.5 times the Cramer-Rao limit at
     0.1 px of noise. They are drawn independently; errors of a real calibration hang together and cancel in part.
 
     Attributes:

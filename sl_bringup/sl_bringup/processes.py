@@ -1,8 +1,8 @@
 """Executables of ROS packages as child processes that never outlive their owner.
 
-Each child leads a process group of its own, so that Ctrl-C in the terminal reaches the owner alone, which then stops its
-children in order: SIGINT first, SIGTERM and SIGKILL where that is not answered. Should the owner die without a chance to do
-so, the kernel ends the children (Linux' parent death signal).
+Each child leads a process group of its own, so that Ctrl-C in the terminal reaches the owner alone, which then stops
+its children in order: SIGINT first, SIGTERM and SIGKILL where that is not answered. Should the owner die without a
+chance to do so, the kernel ends the children (Linux' parent death signal).
 """
 
 import ctypes
@@ -189,7 +189,7 @@ class ProcessGroup:
         return tuple(self._processes)
 
     def start(self, what: Executable) -> Process:
-        """Start an executable; it must be called from the main thread (the parent death signal is bound to the thread)."""
+        """Start an executable; from the main thread, which the parent death signal is bound to."""
         process = Process(what, self._environment, self._log_folder)
         self._processes.append(process)
         return process
@@ -199,7 +199,9 @@ class ProcessGroup:
         for process in self._processes:
             code = process.returncode
             if code is not None:
-                raise ProcessError(f"{process.label} ended with exit code {code}: {process.last_line()} (log: {process.log})")
+                raise ProcessError(
+                    f"{process.label} ended with exit code {code}: {process.last_line()} (log: {process.log})"
+                )
 
     def stop(self, timeout: float = 8.0) -> dict[str, int]:
         """Stop all; a Ctrl-C during that is put off until they are gone. Returns exit codes by label."""
@@ -216,7 +218,7 @@ class ProcessGroup:
 
 
 def _prepared(parent: int, niceness: int) -> Callable[[], None]:
-    """Return what the child does before it becomes the executable; everything is looked up beforehand, in the parent."""
+    """Return what the child does before it becomes the executable; all is looked up in the parent."""
     prctl = ctypes.CDLL(None, use_errno=True).prctl if sys.platform == "linux" else None
 
     def prepare() -> None:

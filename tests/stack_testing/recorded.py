@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.serialization import deserialize_message
+
 from sl_bringup.bag.player import message_class
 from sl_bringup.bag.reader import BagReader
 

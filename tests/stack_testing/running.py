@@ -12,6 +12,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+
 from sl_bringup.isolation import environment, free_domain
 from sl_bringup.processes import Executable, Process, ProcessGroup
 
@@ -48,7 +49,9 @@ class Log:
         deadline = time.monotonic() + timeout
         while not (found := self.lines(pattern)):
             assert self.process.returncode is None, f"{self.process.label} ended:\n{self.text()}"
-            assert time.monotonic() < deadline, f"no line like '{pattern}' from {self.process.label}; it printed:\n{self.text()}"
+            assert time.monotonic() < deadline, (
+                f"no line like '{pattern}' from {self.process.label}; it printed:\n{self.text()}"
+            )
             time.sleep(0.05)
         return found[0]
 

@@ -25,7 +25,7 @@ class BagReader:
     """An MCAP (or sqlite3) bag, opened for reading."""
 
     def __init__(self, folder: Path) -> None:
-        """Open a bag's folder, or the folder of the .mcap file given; raises BagError where there is no readable bag."""
+        """Open a bag's folder, or the folder of the .mcap file given; raises BagError where none is readable."""
         folder = folder.parent if folder.is_file() else folder
         if not (folder / "metadata.yaml").is_file():
             raise BagError(f"{folder} is not a bag: it has no metadata.yaml")

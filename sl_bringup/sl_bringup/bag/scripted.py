@@ -1,4 +1,4 @@
-"""A bag of the chain's input from the simulated cell, without nodes and clocks: the same bytes for the same arguments."""
+"""A bag of the chain's input from the simulated cell, without nodes and clocks: same arguments, same bytes."""
 
 import json
 from dataclasses import dataclass
@@ -6,16 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pattern_gen import default_pattern
-from pattern_gen.ros_conversions import pattern_to_message
 from sensor_msgs.msg import JointState
-from sl_sim import arm
-from sl_sim.camera_simulation import CameraSimulation
-from sl_sim.cell import Cell, CellSettings, inverse_kinematics
-from sl_sim.effects import EFFECTS
-from sl_sim.exposures import Exposure
 from std_msgs.msg import Header, String
 
+from pattern_gen import default_pattern
+from pattern_gen.ros_conversions import pattern_to_message
 from sl_bringup import nominal_calibration
 from sl_bringup.bag.writer import BagWriter
 from sl_common import transforms
@@ -23,6 +18,11 @@ from sl_common.calibration_files import Calibration, PoseCalibration
 from sl_common.files import atomic_path, write_text
 from sl_common.ros import camera_info, images
 from sl_common.ros.stamps import from_ns
+from sl_sim import arm
+from sl_sim.camera_simulation import CameraSimulation
+from sl_sim.cell import Cell, CellSettings, inverse_kinematics
+from sl_sim.effects import EFFECTS
+from sl_sim.exposures import Exposure
 
 Array = NDArray[np.float64]
 
@@ -107,9 +107,7 @@ def record(folder: Path, script: Script) -> None:
     _save_truth(folder, cell, pattern.centers, pattern.pattern_id, poses)
 
 
-def _save_truth(
-    folder: Path, cell: Cell, centers: Array, pattern_id: str, poses: dict[str, list[list[float]]]
-) -> None:
+def _save_truth(folder: Path, cell: Cell, centers: Array, pattern_id: str, poses: dict[str, list[list[float]]]) -> None:
     exact = Calibration(
         cell.camera,
         cell.projector,
@@ -130,9 +128,7 @@ class _Path:
 
     def __init__(self, cell: Cell, script: Script) -> None:
         self._first = np.asarray(cell.start_positions)
-        step = transforms.make(
-            transforms.rotation_exp((0.0, 0.0, script.roll)), np.array([0.0, 0.0, script.approach])
-        )
+        step = transforms.make(transforms.rotation_exp((0.0, 0.0, script.roll)), np.array([0.0, 0.0, script.approach]))
         goal = cell.base_from_camera(self._first) @ step @ transforms.inverse(cell.flange_from_camera)
         self._last = inverse_kinematics(cell.kinematics, goal, self._first)
         self._duration = (script.frames - 1) * script.period

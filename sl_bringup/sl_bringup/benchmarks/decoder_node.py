@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from numpy.typing import NDArray
-from pattern_gen import Pattern, default_pattern
-from pattern_gen.ros_conversions import pattern_to_message
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Image
-from sl_decoder.benchmark import camera_image
 from std_msgs.msg import Header
 
+from pattern_gen import Pattern, default_pattern
+from pattern_gen.ros_conversions import pattern_to_message
 from sl_bringup.demo.report import Row
 from sl_bringup.errors import DemoError
 from sl_bringup.isolation import environment
@@ -22,6 +21,7 @@ from sl_bringup.processes import Executable, Process, ProcessGroup
 from sl_common.ros import images
 from sl_common.ros.qos import LATCHED, STREAM_PUBLISH, STREAM_SUBSCRIBE
 from sl_common.ros.stamps import from_ns, to_ns
+from sl_decoder.benchmark import camera_image
 from sl_msgs.msg import Correspondences
 from sl_msgs.msg import Pattern as PatternMessage
 
@@ -111,7 +111,7 @@ def _measure(camera: _Camera, frames: list[NDArray[np.uint8]], rate: int, second
     time.sleep(0.5)
     answered = {stamp: camera.arrivals[stamp] for stamp in sent if stamp in camera.arrivals}
     latency = 1e3 * np.array([answered[s][0] - sent[s] for s in answered] or [np.nan])
-    dots = np.array([n for _, n in answered.values()] or [np.nan])
+    dots = np.array([float(n) for _, n in answered.values()] or [np.nan])
     return [
         Row(f"{name}: answers", len(answered) / seconds, "1/s", digits=1),
         Row(f"{name}: images not answered", 100.0 * (1 - len(answered) / len(sent)), "%", digits=1),

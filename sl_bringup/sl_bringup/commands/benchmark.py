@@ -34,7 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--only", nargs="+", choices=choices, default=choices, help="which parts (default: all)")
-    parser.add_argument("--seconds", type=float, default=5.0, help="per rate of the decoder node (default: %(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=5.0, help="per rate of the decoder node (default: %(default)s)"
+    )
     parser.add_argument("--domain-id", type=int, help="ROS domain (default: one that nobody uses)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
     options = parser.parse_args(arguments)

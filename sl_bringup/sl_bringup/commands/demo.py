@@ -21,10 +21,10 @@ from sl_common.errors import StructuredLightError
 from sl_common.files import write_text
 
 _EPILOG = """example:
-  ros2 run sl_bringup demo --scene wave --output /tmp/demo
+  ros2 run sl_bringup demo --scene wavy --output /tmp/demo
 
-The exit code is 0 when the arm ends within 2 mm and 0.5 deg of the commanded pose and of the true surface, with no limit
-violation counted by the cell's driver; 1 when not, or when something failed; 130 after Ctrl-C."""
+The exit code is 0 when the arm ends within 2 mm and 0.5 deg of the commanded pose and of the true surface, with no
+limit violation counted by the cell's driver; 1 when not, or when something failed; 130 after Ctrl-C."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ def parse(arguments: list[str] | None = None) -> Options:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         prog="ros2 run sl_bringup demo",
-        description="Run the whole chain, each node a process of its own, on a simulated cell: an arm with an eye-in-hand "
-        "camera positions itself in front of an object by structured light.",
+        description="Run the whole chain, each node a process of its own, on a simulated cell: an arm with an "
+        "eye-in-hand camera positions itself in front of an object by structured light.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -61,7 +61,9 @@ def parse(arguments: list[str] | None = None) -> Options:
         help="self: the system calibrates itself first (default); nominal: the cell's values with realistic errors "
         "(default with --short)",
     )
-    parser.add_argument("--output", type=Path, default=Path("demo_output"), help="folder, replaced (default: %(default)s)")
+    parser.add_argument(
+        "--output", type=Path, default=Path("demo_output"), help="folder, replaced (default: %(default)s)"
+    )
     parser.add_argument("--short", action="store_true", help="no pictures, no bag, a quicker motion: for CI")
     parser.add_argument("--no-bag", action="store_true", help="record no bag")
     parser.add_argument("--domain-id", type=int, help="ROS domain (default: one that nobody uses)")

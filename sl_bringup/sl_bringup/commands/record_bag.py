@@ -12,14 +12,15 @@ from sl_common.errors import StructuredLightError
 _EPILOG = """example:
   ros2 run sl_bringup record_bag --scene wavy --seed 1 --output bags/wavy
 
-The folder then holds bag/ (MCAP), calibration/ (exact), truth.json and spots.npy. The same arguments give the same messages."""
+The folder then holds bag/ (MCAP), calibration/ (exact), truth.json and spots.npy.
+The same arguments give the same messages."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(
         prog="ros2 run sl_bringup record_bag",
-        description="Render a short motion of the simulated cell and write what the chain's nodes would receive as a bag.",
+        description="Render a short motion of the simulated cell and write what the nodes would receive as a bag.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

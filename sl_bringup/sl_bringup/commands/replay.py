@@ -21,7 +21,8 @@ _EPILOG = """example:
   ros2 run sl_calibration triangulator --ros-args -p use_sim_time:=true -p calibration_folder:=bags/wavy/calibration &
   ros2 run sl_bringup replay bags/wavy/bag --rate 0.5 --loop
 
-Messages keep their stamps; /clock shows the bag's time. Topics can be remapped: --ros-args -r /camera/image_raw:=/image"""
+Messages keep their stamps; /clock shows the bag's time. To remap a topic:
+--ros-args -r /camera/image_raw:=/image"""
 
 
 class _Stop:
@@ -70,7 +71,8 @@ def run(options: argparse.Namespace, arguments: list[str] | None = None) -> None
     folder = options.bag / "bag" if (options.bag / "bag" / "metadata.yaml").is_file() else options.bag
     with BagReader(folder) as bag:
         rclpy.init(
-            args=sys.argv if arguments is None else ["replay", *arguments], signal_handler_options=SignalHandlerOptions.NO
+            args=sys.argv if arguments is None else ["replay", *arguments],
+            signal_handler_options=SignalHandlerOptions.NO,
         )
         node = rclpy.create_node("replay")
         try:

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -47,9 +48,8 @@ def wait_until_running(session: Session, terminal: Terminal) -> None:
         ("camera/image_raw", "camera images (cell)"),
         ("correspondences", "decoded dots (decoder)"),
     ):
-        session.wait_for(
-            lambda topic=topic: topic in observer.latest, _START_UP, what, lambda what=what: f"waiting for {what}"
-        )
+        waiting = f"waiting for {what}"
+        session.wait_for(partial(observer.latest.get, topic), _START_UP, what, partial(str, waiting))
     session.wait_for(lambda: observer.truth is not None, 20.0, "the cell's truth, for the report")
     image = observer.latest["camera/image_raw"]
     pattern = observer.latest["pattern"]
@@ -87,7 +87,7 @@ def look(session: Session, terminal: Terminal, clouds: int = 5) -> None:
 def position(session: Session, terminal: Terminal, *, standoff: float, duration: float) -> Motion:
     """Order the arm to the object and watch it get there.
 
-    An order that ended because a joint state or a cloud came late, as it happens on a busy machine, is repeated as a user would.
+    An order that ended because a joint state or a cloud came late, as happens on a busy machine, is repeated.
     Raises DemoError when the arm does not get there.
     """
     observer = session.observer
@@ -147,7 +147,9 @@ def look_closely(session: Session, terminal: Terminal, clouds: int = 5) -> None:
             20.0,
             "point clouds and a debug image at rest",
         )
-        session.wait_for(lambda: max(observer.record.camera_poses, default=0) > now, 5.0, "the true camera pose, for the report")
+        session.wait_for(
+            lambda: max(observer.record.camera_poses, default=0) > now, 5.0, "the true camera pose, for the report"
+        )
     finally:
         observer.watch_debug_image(False)
     stamp = to_ns(observer.latest[debug].header.stamp)

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_sim.cell import Cell
 
 from sl_bringup.demo.observer import Cloud, Record
 from sl_common import transforms
 from sl_common.ros.stamps import to_ns
 from sl_msgs.msg import Correspondences
+from sl_sim.cell import Cell
 
 Array = NDArray[np.float64]
 
 _WRONG_DOT = 3.0
-"""A dot farther than this from where the spot of its row and column is seen [px] is a wrong one; the pitch is about ten."""
+"""A dot farther than this from where the spot of its row and column is seen [px] is wrong; the pitch is about ten."""
 _NORMAL_RADIUS = 0.025
-"""The true surface's normal is taken over this radius [m], so that a pore of the surface does not count as its direction."""
+"""The true surface's normal is taken over this radius [m], so that a pore does not count as its direction."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,9 @@ def point_errors(cell: Cell, centers: Array, clouds: Sequence[Cloud], record: Re
     )
 
 
-def dot_errors(cell: Cell, centers: Array, images: Sequence[Correspondences], record: Record, most: int = 12) -> DotErrors:
+def dot_errors(
+    cell: Cell, centers: Array, images: Sequence[Correspondences], record: Record, most: int = 12
+) -> DotErrors:
     """Compare decoded dots with the true images of their spots; arguments as :func:`point_errors`."""
     distances = []
     for message in _spread([m for m in images if to_ns(m.header.stamp) in record.camera_poses], most):
@@ -137,8 +139,8 @@ def pose_errors(
 def surface_ahead(cell: Cell, base_from_camera: Array, base_from_object: Array | None = None) -> tuple[float, Array]:
     """Return the distance [m] to the true surface along the optical axis and the surface's unit normal (3,) there.
 
-    The normal is that of a quadric fitted to the true surface within :data:`_NORMAL_RADIUS` around the point; what lies behind
-    an edge does not count.
+    The normal is that of a quadric fitted to the true surface within :data:`_NORMAL_RADIUS` around the point; what
+    lies behind an edge does not count.
     """
     origin, axes = base_from_camera[:3, 3], base_from_camera[:3, :3]
     hit, _ = cell.surface_along_rays(origin, axes[None, :, 2], base_from_object=base_from_object)
@@ -159,9 +161,9 @@ def surface_ahead(cell: Cell, base_from_camera: Array, base_from_object: Array |
 
 
 def _robust_solution(design: Array, values: Array) -> Array:
-    """Return the solution (6,) of least absolute deviations, by reweighting: it holds to the surface that the middle is on."""
+    """Return the solution (6,) of least absolute deviations, by reweighting: it keeps to the middle's surface."""
     weight = np.exp(-4.0 * (design[:, 1] ** 2 + design[:, 2] ** 2))
-    solution = np.zeros(design.shape[1])
+    solution: Array = np.zeros(design.shape[1])
     w = weight
     for _ in range(50):
         solution, *_ = np.linalg.lstsq(design * np.sqrt(w)[:, None], values * np.sqrt(w), rcond=None)

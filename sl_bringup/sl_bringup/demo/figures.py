@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from sl_sim.cell import Cell, CellSettings
 
 from sl_bringup.demo.acts import Motion
 from sl_bringup.demo.evaluation import dot_errors, point_errors, pose_errors
@@ -11,6 +10,7 @@ from sl_bringup.demo.observer import Record, pose_from_message
 from sl_bringup.demo.report import MAX_ORIENTATION_ERROR, MAX_POSITION_ERROR, Row
 from sl_bringup.demo.truth import Truth
 from sl_msgs.msg import Pattern
+from sl_sim.cell import Cell, CellSettings
 
 
 def pattern_centers(message: Pattern) -> np.ndarray:

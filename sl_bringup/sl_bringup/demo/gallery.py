@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-from sl_sim.cell import Cell
 
 from sl_bringup.demo import pictures
 from sl_bringup.demo.acts import Motion
 from sl_bringup.demo.observer import DECODER, Observer
 from sl_common.ros import clouds
+from sl_sim.cell import Cell
 
 
 def draw(folder: Path, observer: Observer, cell: Cell, motion: Motion | None) -> None:

@@ -1,6 +1,7 @@
 """Which executables make up the demo, and with which parameters."""
 
 from pathlib import Path
+from typing import Any
 
 from sl_bringup.processes import Executable, share_folder
 
@@ -10,7 +11,7 @@ def parameter_file(node: str) -> Path:
     return share_folder("sl_bringup") / "config" / f"{node}.yaml"
 
 
-def executable(package: str, node: str, *, niceness: int = 0, **parameters: object) -> Executable:
+def executable(package: str, node: str, *, niceness: int = 0, **parameters: Any) -> Executable:
     """Return a node of the stack with its default parameter file and ``parameters`` over it."""
     files = [parameter_file(node)]
     return Executable(package, node, parameters=parameters, parameter_files=files, niceness=niceness)
@@ -31,8 +32,8 @@ def calibrator(calibration_folder: Path, session_folder: Path) -> Executable:
 def chain(calibration_folder: Path) -> list[Executable]:
     """Return the nodes that a real cell runs too: projector to setpoints.
 
-    Two limits of the positioner are those of a simulation on a busy machine, not of a real cell: an image may take a second to
-    render, and the simulated driver may lag. Those on joint states and motion are the defaults.
+    Two limits of the positioner are those of a simulation on a busy machine, not of a real cell: an image may take a
+    second to render, and the simulated driver may lag. Those on joint states and motion are the defaults.
     """
     return [
         executable("pattern_gen", "pattern_publisher"),
@@ -49,6 +50,6 @@ def chain(calibration_folder: Path) -> list[Executable]:
     ]
 
 
-def simulated_cell(scene: str, seed: int, **parameters: object) -> Executable:
+def simulated_cell(scene: str, seed: int, **parameters: Any) -> Executable:
     """Return the cell: arm, camera and projector light."""
     return executable("sl_sim", "cell", scene=scene, seed=seed, **parameters)

@@ -125,9 +125,7 @@ class Observer(Node):
             self.destroy_subscription(self._debug)
             self._debug = None
 
-    def _listen(
-        self, kind: type, topic: str, qos: QoSProfile, callback: Callable[[Any], None] | None = None
-    ) -> Any:
+    def _listen(self, kind: type, topic: str, qos: QoSProfile, callback: Callable[[Any], None] | None = None) -> Any:
         def receive(message: Any) -> None:
             self.record.arrivals[topic].append(time.monotonic())
             self.latest[topic] = message

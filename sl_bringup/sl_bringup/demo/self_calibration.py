@@ -38,7 +38,7 @@ class Outcome:
 
 
 def self_calibrate(session: Session, terminal: Terminal) -> Outcome:
-    """Let the calibrator drive its motion, compute and save; raises DemoError with its reason where one of them fails."""
+    """Let the calibrator drive its motion, compute and save; raises DemoError with the reason where one fails."""
     observer = session.observer
     terminal.step("self-calibration: the arm moves, the projector stays, no grid")
     started = time.monotonic()
