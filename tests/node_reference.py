@@ -207,14 +207,12 @@ def describe_node(name: str, folder: Path) -> str:
 
 def main() -> None:
     """Rewrite README.md."""
-    text = README.read_text()
     for name in sys.argv[1:] or NODES:
+        section(README.read_text(), name)
         with tempfile.TemporaryDirectory() as folder:
-            tables = describe_node(name, Path(folder))
-        section(text, name)
-        block = f"<!-- reference of {name} -->\n\n{tables}\n\n<!-- end -->"
-        text = re.sub(_markers(name), lambda _, block=block: block, text, flags=re.DOTALL)
-        README.write_text(text)
+            block = f"<!-- reference of {name} -->\n\n{describe_node(name, Path(folder))}\n\n<!-- end -->"
+        text = README.read_text()
+        README.write_text(re.sub(_markers(name), lambda _, block=block: block, text, flags=re.DOTALL))
         print(f"{name}: done")
 
 
