@@ -166,7 +166,8 @@ def _robust_solution(design: Array, values: Array) -> Array:
     solution: Array = np.zeros(design.shape[1])
     w = weight
     for _ in range(50):
-        solution, *_ = np.linalg.lstsq(design * np.sqrt(w)[:, None], values * np.sqrt(w), rcond=None)
+        root = np.sqrt(w)
+        solution = np.asarray(np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0], dtype=np.float64)
         w = weight / np.maximum(np.abs(values - design @ solution), 1e-5)
     return solution
 
