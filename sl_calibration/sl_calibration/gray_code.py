@@ -141,6 +141,7 @@ def make_capture(
             " light in the image? Raise the exposure"
         )
     _check_pairs(capture)
+    _check_last_bits(capture)
     return capture
 
 
@@ -184,10 +185,13 @@ def check_order(capture: Capture, region: NDArray[np.float64]) -> None:
         slopes.append(slope)
         if fit <= _GOOD_FIT:
             continue
-        swapped = _find_swap(own, length, capture.arrangement, place, fit)
-        if swapped is not None:
-            first, second = (_frame_name(capture, offset, frame) for frame in swapped)
-            raise CaptureError(f"{first} and {second} are swapped: the decoded {name}s are smooth with them exchanged")
+        swaps = _find_swaps(own, length, capture.arrangement, place, fit)
+        if swaps:
+            named = [" and ".join(capture.names[2 * offset + frame] for frame in pair) for pair in swaps]
+            raise CaptureError(
+                f"{' (or '.join(named[:3])}{')' * (len(named[:3]) - 1)} are swapped: the decoded {name}s are smooth with"
+                " them exchanged"
+            )
         if fit > _BROKEN_FIT:
             raise CaptureError(
                 f"the decoded {name}s jump across the board ({fit:.1f} px off a smooth map in the median): images in the"
@@ -228,6 +232,19 @@ def _check_pairs(capture: Capture) -> None:
         )
 
 
+def _check_last_bits(capture: Capture) -> None:
+    """The least significant bit of either axis alternates everywhere; a pair that does not is another kind of image."""
+    lit = capture.lit
+    for last in (capture.column_bits - 1, len(capture.pairs) - 1):
+        share = float((capture.pairs[last, 0] > capture.pairs[last, 1])[lit].mean())
+        if not 0.03 < share < 0.97:
+            raise CaptureError(
+                f"{capture.names[2 * last]} and {capture.names[2 * last + 1]} should be the finest bit and its inverse, but one"
+                f" is brighter in {100 * max(share, 1 - share):.0f} % of the image: is {capture.projector[0]}x"
+                f"{capture.projector[1]} the projector's size, and are the images in order?"
+            )
+
+
 def _smoothness(values: NDArray[np.int64], place: Array) -> tuple[float, Array]:
     """Median distance [px] of decoded values (K,) from a smooth function of the place, and its slope (2,) at the middle."""
     known = values >= 0
@@ -245,23 +262,26 @@ def _smoothness(values: NDArray[np.int64], place: Array) -> tuple[float, Array]:
     return float(np.median(error)), np.array([coefficients[4], coefficients[1]])
 
 
-def _find_swap(
+def _find_swaps(
     bits: NDArray[np.bool_], length: int, arrangement: Arrangement, place: Array, fit: float
-) -> tuple[int, int] | None:
-    """Try every exchange of two frames (of 2 * bits); return the two that make the map smooth, None if none does."""
-    best: tuple[float, tuple[int, int]] = (fit / 2, (-1, -1))
+) -> list[tuple[int, int]]:
+    """Try every exchange of two frames (of 2 * bits); return those that make the map smooth, the likeliest first.
+
+    A bit with its inverse is likelier than two bits. On a part of the panel several exchanges may look alike.
+    """
+    found: list[tuple[float, int, tuple[int, int]]] = []
     for k in range(len(bits)):
         trial = bits.copy()
         trial[k] = ~trial[k]
         score, _ = _smoothness(_coordinate(trial, length, arrangement), place)
-        best = min(best, (score, (2 * k, 2 * k + 1)))
+        found.append((score, 0, (2 * k, 2 * k + 1)))
     for k, m in combinations(range(len(bits)), 2):
         trial = bits.copy()
         trial[[k, m]] = trial[[m, k]]
         score, _ = _smoothness(_coordinate(trial, length, arrangement), place)
-        best = min(best, (score, (2 * k, 2 * m)))
-    return best[1] if best[1][0] >= 0 else None
-
-
-def _frame_name(capture: Capture, bit_offset: int, frame: int) -> str:
-    return capture.names[2 * bit_offset + frame]
+        found.append((score, 1, (2 * k, 2 * m)))
+    best = min(score for score, _, _ in found)
+    if best > fit / 2:
+        return []
+    alike = [entry for entry in found if entry[0] <= 1.2 * best + 0.05]
+    return [pair for _, _, pair in sorted(alike, key=lambda entry: (entry[1], entry[0]))]

@@ -1,6 +1,7 @@
 """Known truth for the grid calibrations: views of a board, corners in camera and projector, photographs of Gray code."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -14,8 +15,10 @@ BOARD = Board(9, 7, 0.04)
 CAMERA = CameraModel(
     800, 600, np.array([[900.0, 0, 410], [0, 900.0, 290], [0, 0, 1]]), "plumb_bob", (-0.18, 0.05, 0.0005, -0.0003, 0.0)
 )
-PROJECTOR = CameraModel(640, 480, np.array([[1100.0, 0, 330], [0, 1100.0, 540], [0, 0, 1]]))  # lens shift: cy below
-PROJECTOR_FROM_CAMERA = transforms.make(transforms.rotation_exp([0.30, 0.22, 0.02]), [-0.2, 0.25, 0.03])
+PROJECTOR = CameraModel(640, 480, np.array([[800.0, 0, 330], [0, 800.0, 540], [0, 0, 1]]))  # lens shift: cy below
+PROJECTOR_FROM_CAMERA = transforms.inverse(
+    transforms.make(transforms.rotation_exp([0.03, 0.31, 0.02]), [-0.25, 0.30, 0.02])
+)
 
 
 def poses(number: int, *, distance: float = 0.75, tilt: float = 0.5, seed: int = 0, board: Board = BOARD) -> np.ndarray:
@@ -60,7 +63,7 @@ def pair_scene(number: int, *, noise: float = 0.1, seed: int = 0) -> PairScene:
 
 def board_albedo(camera: CameraModel, camera_from_board: np.ndarray, board: Board) -> np.ndarray:
     """(H, W) albedo of a board before a grey wall, edges antialiased; the board has one square more each way."""
-    oversampling = 3
+    oversampling = 2
     ideal = plane_coordinates(camera, camera_from_board, oversampling) / board.square
     x, y = ideal[..., 0] + 1, ideal[..., 1] + 1
     inside = (x > 0) & (y > 0) & (x < board.columns + 1) & (y < board.rows + 1)
@@ -72,13 +75,17 @@ def board_albedo(camera: CameraModel, camera_from_board: np.ndarray, board: Boar
 
 def plane_coordinates(camera: CameraModel, camera_from_board: np.ndarray, oversampling: int = 1) -> np.ndarray:
     """(H, W, 2) coordinates [m] on the board's plane of each pixel's ray."""
-    v, u = np.mgrid[: camera.height * oversampling, : camera.width * oversampling]
-    pixels = (np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) / oversampling - 0.5
-    rays = camera.rays(pixels)
+    rays = _rays(camera, oversampling)
     normal, origin = camera_from_board[:3, 2], camera_from_board[:3, 3]
     points = rays * ((origin @ normal) / (rays @ normal))[:, None]
     local = transforms.apply(transforms.inverse(camera_from_board), points)
     return local[:, :2].reshape(camera.height * oversampling, camera.width * oversampling, 2)
+
+
+@cache
+def _rays(camera: CameraModel, oversampling: int) -> np.ndarray:
+    v, u = np.mgrid[: camera.height * oversampling, : camera.width * oversampling]
+    return camera.rays((np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) / oversampling - 0.5)
 
 
 def gray_capture(

@@ -74,10 +74,10 @@ def test_white_and_black_exchanged():
         capture(exchanged(38, 39))
 
 
-@pytest.mark.parametrize("pair", [2, 9, 10, 15])
+@pytest.mark.parametrize("pair", [2, 9, 12, 15])
 def test_a_bit_exchanged_with_its_inverse_is_named(pair):
     images = exchanged(2 * pair, 2 * pair + 1)
-    message = rf"graycode_{2 * pair:02d}\.png and graycode_{2 * pair + 1:02d}\.png (are|or .* are) swapped"
+    message = rf"^graycode_{2 * pair:02d}\.png and graycode_{2 * pair + 1:02d}\.png .*are swapped"
     with pytest.raises(CaptureError, match=message):
         check_order(capture(images), CORNERS)
 
