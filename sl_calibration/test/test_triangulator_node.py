@@ -6,20 +6,21 @@ import pytest
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("sl_msgs.msg")
 
+from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2  # noqa: E402
+from std_msgs.msg import Header, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
 from sl_calibration.nodes.triangulator import Triangulator  # noqa: E402
+from sl_common import calibration_files, transforms  # noqa: E402
 from sl_common.cameras import CameraModel  # noqa: E402
 from sl_common.kinematics import Kinematics  # noqa: E402
 from sl_common.ros import clouds  # noqa: E402
 from sl_common.ros.qos import STREAM_PUBLISH, STREAM_SUBSCRIBE  # noqa: E402
 from sl_common.ros.stamps import from_ns  # noqa: E402
-from std_msgs.msg import Header, String  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from sl_common import calibration_files, transforms  # noqa: E402
 from sl_msgs.msg import Correspondences  # noqa: E402
 
 DOMAIN = 36
@@ -230,3 +231,32 @@ def test_wrong_parameter_names_itself(make_cell):
     assert cell.node.get_parameter("output_frame").value == "base"
     result = cell.node.set_parameters([Parameter("output_frame", value="moon")])[0]
     assert not result.successful
+
+
+def test_object_is_published_as_odometry_when_tracked(make_cell):
+    cell = make_cell(track_object="true")
+    seen = []
+    cell.peer.create_subscription(Odometry, "/triangulator/object", seen.append, 10)
+    base_from_projector, _, _, message = view(0.0)
+    cell.move(STAMP, Q0)
+    # A bent sheet that a grid of rays meets: connected in the pattern, as the scattered points of view() are not.
+    row, col = (a.ravel() for a in np.meshgrid(np.arange(12), np.arange(14), indexing="ij"))
+    pixels = np.column_stack([200 + 40.0 * col, 300 + 35.0 * row])
+    rays = PROJECTOR.rays(pixels)
+    in_base = transforms.apply(
+        base_from_projector, rays * (1.2 + 0.05 * np.sin(0.7 * row) * np.cos(0.6 * col))[:, None]
+    )
+    kinematics = Kinematics(urdf(), "base_link", "tool0")
+    camera = CAMERA.project(transforms.apply(transforms.inverse(kinematics.forward(Q0) @ HAND_EYE), in_base))
+    message.camera_u, message.camera_v = camera.T.astype(np.float32)
+    message.projector_u, message.projector_v = pixels.T.astype(np.float32)
+    message.row, message.col = row.astype(np.uint16), col.astype(np.uint16)
+    message.confidence = np.ones(len(row), dtype=np.float32)
+    cell.spin(0.3)
+    assert cell.show(message) is not None
+    cell.spin(1.0, lambda: seen)
+    assert seen[0].header.frame_id == "base_link"
+    assert seen[0].header.stamp == message.header.stamp
+    p = seen[0].pose.pose.position
+    np.testing.assert_allclose([p.x, p.y, p.z], in_base.mean(0), atol=0.02)
+    assert seen[0].pose.pose.orientation.w == pytest.approx(1.0, abs=1e-3)

@@ -11,6 +11,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from sl_calibration.nodes.messages import colours_from_message, dots_from_message
+from sl_calibration.nodes.object_odometry import ObjectTracking
 from sl_calibration.nodes.robot import Pairing, Robot
 from sl_calibration.triangulation import Triangulation, TriangulationOptions, camera_from_projector, triangulate
 from sl_common import transforms
@@ -82,6 +83,7 @@ class Triangulator(Node):
         self._any_pattern = declare(
             self, "accept_any_pattern", False, "Accept another pattern than the projector was calibrated with"
         )
+        self._tracking = ObjectTracking(self, self._base_frame) if self._track_parameter() else None
         max_gap = declare(
             self, "max_joint_gap", 0.1, "Joint states farther apart are not interpolated", unit="s", minimum=0.001
         )
@@ -112,6 +114,9 @@ class Triangulator(Node):
         self.create_service(Trigger, "~/reload", self._on_reload)
         self.create_timer(1.0, self._reload_if_changed)
         self._reload_if_changed()
+
+    def _track_parameter(self) -> bool:
+        return declare(self, "track_object", False, "Publish the motion of the nearest object on ~/object")
 
     # Calibration files
 
@@ -234,9 +239,13 @@ class Triangulator(Node):
         result = triangulate(camera, self._projector, extrinsics, dots.camera, dots.projector, self._options)
         use = result.valid & (dots.confidence >= self._min_confidence)
         points, frame = result.points[use], message.header.frame_id
-        if self._output == "base":
-            points, frame = transforms.apply(base_from_flange @ flange_from_camera, points), self._base_frame
         row, col = dots.row[use], dots.col[use]
+        base_from_camera = base_from_flange @ flange_from_camera
+        if self._tracking is not None:
+            in_base = transforms.apply(base_from_camera, points)
+            self._tracking.update(message.header.stamp, in_base, row, col, base_from_camera[:3, 3])
+        if self._output == "base":
+            points, frame = transforms.apply(base_from_camera, points), self._base_frame
         xyz = points.astype(np.float32)
         cloud = clouds.to_message(
             Header(stamp=message.header.stamp, frame_id=frame),
