@@ -132,7 +132,7 @@ class NodeReference:
     def _wait_until_complete(self) -> None:
         """Give the node a robot, on which some of its topics depend, and wait until no topic or service is added."""
         arm = share_folder("sl_sim") / "description" / "ur5e.urdf"
-        wait_for(lambda: self._endpoints("publisher") and self._endpoints("subscription"), 120.0, "topics of the node")
+        wait_for(lambda: self._endpoints("publisher"), 120.0, "topics of the node")
         if "robot_description" in {self._relative(t) for t, _ in self._endpoints("subscription")}:
             self._stack.peer.publish("robot_description", String(data=arm.read_text()), LATCHED)
         seen: tuple[Any, ...] = ()
