@@ -17,8 +17,9 @@ from sl_common.files import atomic_path
 def make_parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     parser = argparse.ArgumentParser(
-        prog="export", description="Write a pattern as an image and as numpy arrays.",
-        epilog="example:\n  export pattern.yaml --image pattern.png --npz pattern.npz\n\n"
+        prog="ros2 run pattern_gen export",
+        description="Write a pattern as an image and as numpy arrays.",
+        epilog="example:\n  ros2 run pattern_gen export pattern.yaml --image pattern.png --npz pattern.npz\n\n"
         "The npz holds image (H,W,3 uint8 RGB), symbols (rows,cols) and centers (rows,cols,2: u, v in projector px).",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip

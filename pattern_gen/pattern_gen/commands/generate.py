@@ -12,16 +12,17 @@ from pattern_gen.letters import choose_letters
 from pattern_gen.pattern import Grid
 
 EXAMPLE = """examples:
-  generate --letters 6 --hamming 3 --rows 44 --cols 58 --output pattern.yaml
-  generate --letters 6 --hamming 3 --aspect 4:3 --time-limit 30 --output large.yaml
-  generate --letters 4 --hamming 3 --grid hexagonal --monochrome --output hexagonal.yaml
+  ros2 run pattern_gen generate --letters 6 --hamming 3 --rows 44 --cols 58 --output pattern.yaml
+  ros2 run pattern_gen generate --letters 6 --hamming 3 --aspect 4:3 --time-limit 30 --output large.yaml
+  ros2 run pattern_gen generate --letters 4 --hamming 3 --grid hexagonal --monochrome --output hexagonal.yaml
 """
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     parser = argparse.ArgumentParser(
-        prog="generate", description="Generate a rotation-invariant map of letters in which all windows differ.",
+        prog="ros2 run pattern_gen generate",
+        description="Generate a rotation-invariant map of letters in which all windows differ.",
         epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--letters", type=int, required=True, help="size of the alphabet, 2 to 36")

@@ -19,9 +19,9 @@ from sl_common.files import atomic_path, write_text
 def make_parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     parser = argparse.ArgumentParser(
-        prog="tables",
+        prog="ros2 run pattern_gen tables",
         description="Search for the maps of the paper's tables, verify them, and write tables, maps and pictures.",
-        epilog="example:\n  tables --output tables --table square --hamming 3",
+        epilog="example:\n  ros2 run pattern_gen tables --output tables --table square --hamming 3",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(

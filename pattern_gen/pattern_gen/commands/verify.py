@@ -16,8 +16,9 @@ from pattern_gen.verification import verify_map
 def make_parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     parser = argparse.ArgumentParser(
-        prog="verify", description="Check that all windows of a pattern differ as its file says.",
-        epilog="example:\n  verify pattern.yaml", formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog="ros2 run pattern_gen verify",
+        description="Check that all windows of a pattern differ as its file says.",
+        epilog="example:\n  ros2 run pattern_gen verify pattern.yaml", formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("file", type=Path, help="the pattern file (YAML)")
     parser.add_argument("--hamming", type=int, help="check this distance instead of the file's min_hamming")
