@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 import yaml
+
+from sl_common import transforms
 from sl_common.calibration_files import (
     HAND_EYE_KEY,
     PoseCalibration,
@@ -13,8 +15,6 @@ from sl_common.calibration_files import (
 from sl_common.cameras import CameraModel
 from sl_common.errors import CalibrationFileError
 from sl_common.files import atomic_path
-
-from sl_common import transforms
 
 MATRIX = np.array([[820.0, 0.0, 325.3], [0.0, 815.0, 236.8], [0.0, 0.0, 1.0]])
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from sl_common.errors import InvalidInputError
 from sl_common.joint_buffer import Gap, JointBuffer, TooEarly, TooLate
 

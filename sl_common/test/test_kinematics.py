@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from sl_common.errors import InvalidInputError, ModelError
-from sl_common.kinematics import Kinematics
 
 from sl_common import transforms
+from sl_common.errors import InvalidInputError, ModelError
+from sl_common.kinematics import Kinematics
 
 
 def joint(name, kind, parent, child, xyz, axis, limit='<limit lower="-2" upper="2.5" velocity="3" effort="1"/>'):

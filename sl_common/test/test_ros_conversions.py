@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Header
+
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
 from sl_common.ros import camera_info, clouds, images, stamps
-from std_msgs.msg import Header
 
 RNG = np.random.default_rng(3)
 BGR = RNG.integers(0, 256, (6, 10, 3), dtype=np.uint8)

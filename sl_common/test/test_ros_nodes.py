@@ -11,6 +11,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+
 from sl_common.errors import InvalidInputError
 from sl_common.ros import diagnostics
 from sl_common.ros.diagnostics import Diagnostics

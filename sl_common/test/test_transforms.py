@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from sl_common.errors import InvalidInputError
 
 from sl_common import transforms
+from sl_common.errors import InvalidInputError
 
 twists = arrays(np.float64, 6, elements=st.floats(-1.7, 1.7))
 poses = twists.map(transforms.exp)
