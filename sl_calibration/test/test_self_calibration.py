@@ -435,7 +435,7 @@ def test_rendered_motion_with_pixel_noise(count):
         wrong = rng.random(len(row)) < 0.01
         row[wrong], col[wrong] = rng.integers(0, 44, wrong.sum()), rng.integers(0, 58, wrong.sum())
         views.append(View(Path(image).stem, row, col, pixels, motion.base_from_flange[i]))
-    options = SelfCalibrationOptions(left_out=False, spot_diameter=pattern.spot_diameter)
+    options = replace(QUICK, spot_diameter=pattern.spot_diameter)
     result = self_calibrate(views, motion.camera, pattern.centers, SIZE, options)
     hand_eye = transforms.difference(np.array(truth["flange_from_camera"]), result.flange_from_camera)
     projector = transforms.difference(np.array(truth["base_from_projector"]), result.base_from_projector)
