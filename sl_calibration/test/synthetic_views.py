@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+
 from sl_calibration.self_calibration.views import View
 from sl_common import transforms
 from sl_common.cameras import CameraModel
@@ -47,11 +48,16 @@ def make_cell(
     """
     rng = np.random.default_rng(seed)
     camera = CameraModel(
-        640, 480, np.array([[rng.uniform(600, 900), 0, rng.normal(320, 8)], [0, 0, rng.normal(240, 8)], [0, 0, 1]])
-        + np.diag([0, rng.uniform(600, 900), 0]), lens, LENSES[lens]
+        640,
+        480,
+        np.array([[rng.uniform(600, 900), 0, rng.normal(320, 8)], [0, 0, rng.normal(240, 8)], [0, 0, 1]])
+        + np.diag([0, rng.uniform(600, 900), 0]),
+        lens,
+        LENSES[lens],
     )
     f = rng.uniform(1400, 2400)
-    matrix = np.array([[f, 0, rng.normal(511, 15)], [0, f * rng.uniform(0.995, 1.005), rng.uniform(380, 900)], [0, 0, 1]])
+    cx, fy, cy = rng.normal(511, 15), f * rng.uniform(0.995, 1.005), rng.uniform(380, 900)
+    matrix = np.array([[f, 0, cx], [0, fy, cy], [0, 0, 1]])
     projector = CameraModel(*SIZE, matrix, "plumb_bob" if projector_lens else "none", projector_lens)
     base_from_scene = transforms.exp(np.concatenate([rng.uniform(-0.3, 0.3, 3) + [0.6, 0, 0.1], rng.normal(size=3)]))
     scene_from_projector = transforms.look_at(
@@ -101,12 +107,18 @@ def hit_surface(projector, scene_from_projector, pixels, relief, rng):
     depth = -origin[2] / rays[:, 2]
     for _ in range(30):
         p = origin + depth[:, None] * rays
-        z = relief * (np.sin(5 * p[:, 0] + phase[0]) * np.cos(4 * p[:, 1] + phase[1]) + 0.5 * np.sin(9 * p[:, 1] + phase[2]))
+        waves = np.sin(5 * p[:, 0] + phase[0]) * np.cos(4 * p[:, 1] + phase[1])
+        z = relief * (waves + 0.5 * np.sin(9 * p[:, 1] + phase[2]))
         depth = 0.5 * depth + 0.5 * (z - origin[2]) / rays[:, 2]
     return origin + depth[:, None] * rays
 
 
-def observe(cell, seed=0, *, pixel_sigma=0.1, position_sigma=1e-4, rotation_sigma=np.radians(0.02), wrong=0.0, missing=0.1):
+ROTATION_SIGMA = np.radians(0.02)
+
+
+def observe(
+    cell, seed=0, *, pixel_sigma=0.1, position_sigma=1e-4, rotation_sigma=ROTATION_SIGMA, wrong=0.0, missing=0.1
+):
     """Views of a cell with noise in pixels and reported poses, a share of wrong codes and one of missing dots."""
     rng = np.random.default_rng(seed + 10_000)
     rows, cols = cell.centers.shape[:2]
