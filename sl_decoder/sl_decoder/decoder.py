@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pattern_gen import Pattern
 from sl_common.errors import StructuredLightError
-from sl_decoder import centres, letters, segmentation
+from sl_decoder import centres, segmentation
+from sl_decoder.alphabet import read_alphabet
 from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
 from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
@@ -53,7 +54,7 @@ class Decoder:
         self.pattern = pattern
         self.options = options or DecoderOptions()
         self.codebook = build_codebook(pattern)
-        self.alphabet = letters.read_alphabet(pattern)
+        self.alphabet = read_alphabet(pattern)
         if colours is not None and len(colours.rgb) != pattern.alphabet:
             raise StructuredLightError(
                 f"colours.yaml has {len(colours.rgb)} letters, the pattern {pattern.alphabet}: "

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sl_decoder import graph, growth, judgement, letters, placement, recovery, voting
+from sl_decoder.alphabet import Alphabet
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
+from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
-from sl_decoder.letters import Alphabet, LetterModel
+from sl_decoder.letters import LetterModel
 from sl_decoder.matched import CIRCLE
 
 SMALLEST_COMPONENT = 4  # dots; smaller components take part in growth only
@@ -291,7 +293,7 @@ class Interpretation:
             np.int32
         )
         self.signal[:n] = letters.log_signal(self.colour[:n], model.direction, self.alphabet.group[known])
-        letters.local_field(
+        local_field(
             self.centre[:n], self.signal[:n], self.near, known, model.level, held, self.field[:n], self.variance[:n]
         )
         self.model = letters.fit_model(

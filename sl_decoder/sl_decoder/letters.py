@@ -16,78 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from pattern_gen import Pattern
-from pattern_gen.rendering import coverage
+from sl_decoder.alphabet import Alphabet
 from sl_decoder.compiled import compiled
+from sl_decoder.intensity_field import first_levels, local_field, quantile
 
-SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
 OUTLIER = 0.04  # share of true dots that fit no hue, over that of false ones
 HUE_FLOOR = 3e-4  # likelihood from which on a hue counts as none of the letters': four sigmas
 LEVEL_RANGE = 4.0  # log signal over which intensities that do not follow the field are spread
 FIRST_STRAY = 0.1  # share of such dots before anything is decoded
-EDGE = 0.25  # log signal by which a neighbour may differ before it counts as beyond an albedo edge
-RIDGE = 0.6  # damping of the field's slopes
-
-
-@dataclass(frozen=True)
-class Alphabet:
-    """What the pattern says of its A letters.
-
-    colour (A, 3) float64 B, G, R drive values 0..1; hue (A,) and shape (A,) index; group (A,) int32 hue and shape
-    together; direction (G, 3) unit colour of a group; level (A,) float64 logarithm of the drive relative to the
-    group's brightest; share (A,) of the map's dots; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
-    """
-
-    colour: np.ndarray
-    hue: np.ndarray
-    shape: np.ndarray
-    group: np.ndarray
-    direction: np.ndarray
-    level: np.ndarray
-    share: np.ndarray
-    profiles: np.ndarray
-
-
-def sharp_profile(shape: str) -> float:
-    """Logarithm of the radial kurtosis of a shape of the pattern, invariant under affine maps."""
-    mask = coverage(shape, 48.0, np.array([[30.0, 30.0]]), 61)[0]
-    y, x = np.mgrid[:61, :61] - 30.0
-    covariance = np.array([[(mask * x * x).sum(), (mask * x * y).sum()], [(mask * x * y).sum(), (mask * y * y).sum()]])
-    inverse = np.linalg.inv(covariance / mask.sum())
-    r2 = inverse[0, 0] * x * x + 2 * inverse[0, 1] * x * y + inverse[1, 1] * y * y
-    return float(np.log((mask * r2 * r2).sum() * mask.sum() / (mask * r2).sum() ** 2))
-
-
-def read_alphabet(pattern: Pattern) -> Alphabet:
-    """The alphabet of a pattern."""
-    colour = np.array([letter.rgb[::-1] for letter in pattern.letters], np.float64) / 255.0
-    unit = colour / np.linalg.norm(colour, axis=1, keepdims=True)
-    hue = np.full(len(colour), -1, np.int32)
-    directions: list[np.ndarray] = []
-    for i, direction in enumerate(unit):
-        for g, known in enumerate(directions):
-            if direction @ known > SAME_HUE:
-                hue[i] = g
-                break
-        else:
-            hue[i] = len(directions)
-            directions.append(direction)
-    names = sorted({letter.shape for letter in pattern.letters}, key=sharp_profile)
-    shape = np.array([names.index(letter.shape) for letter in pattern.letters], np.int32)
-    group = (hue * len(names) + shape).astype(np.int32)
-    strength = np.linalg.norm(colour, axis=1)
-    level = np.array([np.log(strength[i] / strength[group == group[i]].max()) for i in range(len(colour))])
-    share = np.bincount(pattern.symbols.ravel(), minlength=len(colour)).astype(np.float64)
-    return Alphabet(
-        colour=colour,
-        hue=hue,
-        shape=shape,
-        group=group,
-        direction=np.repeat(np.array(directions), len(names), axis=0),
-        level=level,
-        share=share / share.sum(),
-        profiles=np.array([sharp_profile(name) for name in names], np.float32),
-    )
 
 
 @dataclass
@@ -115,16 +51,6 @@ class LetterModel:
             self.level_spread,
             np.float32(self.stray),
         )
-
-
-@compiled
-def quantile(values, share):
-    """Quantile of values (N,) float32 that are sorted in place; 0 for none."""
-    n = len(values)
-    if n == 0:
-        return np.float32(0)
-    values.sort()
-    return values[min(n - 1, int(share * n))]
 
 
 def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
@@ -164,163 +90,6 @@ def _assign_groups(colour, direction, group):
                 total[to, 2] += c / norm
         group[i] = to
     return total
-
-
-@compiled
-def local_field(centre, signal, near, letter, level, use, field, field_variance):
-    """Field (N,) at each dot: plane through its neighbours' log signals minus their letters' levels, and its variance.
-
-    Robust (weights fall off with the distance from the median, so that albedo edges do not mix) and damped (a ridge on
-    the slopes, so that one-sided neighbourhoods extrapolate a gradient without exaggerating it).
-    """
-    n, k = near.shape
-    values = np.empty(k, np.float32)
-    ordered = np.empty(k, np.float32)
-    xs = np.empty(k, np.float32)
-    ys = np.empty(k, np.float32)
-    one = np.float32(1)
-    for i in range(n):
-        m = 0
-        far = np.float32(0)
-        for q in range(k):
-            j = near[i, q]
-            if j < 0:
-                break
-            if not use[j]:
-                continue
-            value = signal[j] - level[letter[j]]
-            values[m] = value
-            xs[m] = centre[j, 0] - centre[i, 0]
-            ys[m] = centre[j, 1] - centre[i, 1]
-            far = max(far, xs[m] * xs[m] + ys[m] * ys[m])
-            p = m
-            while p > 0 and ordered[p - 1] > value:
-                ordered[p] = ordered[p - 1]
-                p -= 1
-            ordered[p] = value
-            m += 1
-        if m == 0:
-            field[i] = signal[i] - level[letter[i]]
-            field_variance[i] = one
-            continue
-        middle = ordered[m // 2]
-        scale = one / np.sqrt(max(far, one))
-        sw = sz = sx = sy = sxx = sxy = syy = sxz = syz = np.float32(0)
-        for q in range(m):
-            z = values[q] - middle
-            w = one / (one + (z / np.float32(EDGE)) ** 2)
-            x = xs[q] * scale
-            y = ys[q] * scale
-            sw += w
-            sz += w * z
-            sx += w * x
-            sy += w * y
-            sxx += w * x * x
-            sxy += w * x * y
-            syy += w * y * y
-            sxz += w * x * z
-            syz += w * y * z
-        mx = sx / sw
-        my = sy / sw
-        mz = sz / sw
-        cxx = sxx - sw * mx * mx + np.float32(RIDGE)
-        cxy = sxy - sw * mx * my
-        cyy = syy - sw * my * my + np.float32(RIDGE)
-        cxz = sxz - sw * mx * mz
-        cyz = syz - sw * my * mz
-        det = cxx * cyy - cxy * cxy
-        gx = (cxz * cyy - cyz * cxy) / det
-        gy = (cyz * cxx - cxz * cxy) / det
-        field[i] = middle + mz - gx * mx - gy * my
-        total = np.float32(0)
-        for q in range(m):
-            z = values[q] - middle
-            w = one / (one + (z / np.float32(EDGE)) ** 2)
-            r = z - mz - gx * (xs[q] * scale - mx) - gy * (ys[q] * scale - my)
-            total += w * r * r
-        lever = one / sw + (mx * mx * cyy - 2 * mx * my * cxy + my * my * cxx) / det
-        field_variance[i] = (total + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
-
-
-@compiled
-def _neighbour_mean(values, near, use, out):
-    for i in range(len(values)):
-        total = np.float32(0)
-        m = 0
-        for q in range(near.shape[1]):
-            j = near[i, q]
-            if j < 0:
-                break
-            if use[j]:
-                total += values[j]
-                m += 1
-        out[i] = total / m if m > 0 else values[i]
-
-
-@compiled
-def first_levels(signal, group, near, use, letter_group, ranked, share, groups, level, letter, field):
-    """Split each hue group into its intensities.
-
-    Deviations from the local mean are ranked and cut in the map's shares, then assignment, levels and field are
-    iterated. ranked (A,) letters, darkest first; writes level (A,), letter (N,), field (N,).
-    """
-    n = len(signal)
-    count = len(level)
-    middle = np.zeros(groups, np.float32)
-    pool = np.empty(n, np.float32)
-    for g in range(groups):
-        m = 0
-        for i in range(n):
-            if use[i] and group[i] == g:
-                pool[m] = signal[i]
-                m += 1
-        middle[g] = quantile(pool[:m], 0.5)
-    relative = np.empty(n, np.float32)
-    for i in range(n):
-        relative[i] = signal[i] - middle[group[i]]
-    _neighbour_mean(relative, near, use, field)
-    for g in range(groups):
-        m = 0
-        for i in range(n):
-            if use[i] and group[i] == g:
-                pool[m] = signal[i] - field[i]
-                m += 1
-        values = pool[:m]
-        values.sort()
-        total = 0.0
-        for a in range(count):
-            if letter_group[a] == g:
-                total += share[a]
-        low = 0.0
-        for r in range(count):
-            a = ranked[r]
-            if letter_group[a] != g:
-                continue
-            high = low + share[a] / max(total, 1e-9)
-            level[a] = values[min(m - 1, int(0.5 * (low + high) * m))] if m > 0 else np.float32(0)
-            low = high
-    sums = np.zeros(count)
-    number = np.zeros(count, np.int64)
-    for _ in range(3):
-        sums[:] = 0
-        number[:] = 0
-        for i in range(n):
-            best = np.float32(1e30)
-            for a in range(count):
-                if letter_group[a] == group[i]:
-                    d = abs(signal[i] - field[i] - level[a])
-                    if d < best:
-                        best = d
-                        letter[i] = a
-            if use[i]:
-                sums[letter[i]] += signal[i] - field[i]
-                number[letter[i]] += 1
-        for a in range(count):
-            if number[a] >= 3:
-                level[a] = sums[a] / number[a]
-        for i in range(n):
-            relative[i] = signal[i] - level[letter[i]]
-        _neighbour_mean(relative, near, use, field)
 
 
 @compiled
