@@ -115,18 +115,18 @@ class NodeReference:
         """Return the tables."""
         lines = ["| | topic | type | QoS | |", "|---|---|---|---|---|"]
         lines += [
-            f"| {verb} | {topic} | {kind} | {qos} | {_meaning(topic)} |"
+            f"| {verb} | `{topic}` | {kind} | {qos} | {_meaning(topic)} |"
             for (verb, topic), (kind, qos) in self.topics().items()
         ]
         if services := self.services():
             lines += ["", "| service or action | type | |", "|---|---|---|"]
             lines += [
-                f"| {name} | {kind.replace('/action/', '/')} | {_meaning(name)} |" for name, kind in services.items()
+                f"| `{name}` | {kind.replace('/action/', '/')} | {_meaning(name)} |" for name, kind in services.items()
             ]
         lines += ["", "| parameter | default | |", "|---|---|---|"]
         for name, (default, text, allowed) in self.parameters().items():
             text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-            lines.append(f"| {name} | {_shown(default)} | {text}{f'; {allowed}' if allowed else ''} |")
+            lines.append(f"| `{name}` | {_shown(default)} | {text}{f'; {allowed}' if allowed else ''} |")
         return "\n".join(lines)
 
     def _wait_until_complete(self) -> None:

@@ -21,7 +21,7 @@ from sl_common.errors import StructuredLightError
 from sl_common.files import write_text
 
 _EPILOG = """example:
-  ros2 run sl_bringup demo --scene wavy --output /tmp/demo
+  ros2 run sl_bringup demo --scene sphere --output /tmp/demo
 
 The exit code is 0 when the arm ends within 2 mm and 0.5 deg of the commanded pose and of the true surface, with no
 limit violation counted by the cell's driver; 1 when not, or when something failed; 130 after Ctrl-C."""
@@ -51,7 +51,7 @@ def parse(arguments: list[str] | None = None) -> Options:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--scene", default="wavy", help="plane, sphere, wave, bust, boxes, ... (default: %(default)s)")
+    parser.add_argument("--scene", default="cylinder", help="plane, sphere, wavy, bust, boxes, ... (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of scene, mounting and noise (default: %(default)s)")
     parser.add_argument("--standoff", type=float, default=0.4, help="camera to surface [m] (default: %(default)s)")
     parser.add_argument("--duration", type=float, default=6.0, help="of the motion [s] (default: %(default)s)")
