@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from sl_common.errors import StructuredLightError
 
 from sl_common import transforms
+from sl_common.errors import StructuredLightError
 
 Array = NDArray[np.float64]
 Prediction = Callable[[Array, Array], Array]

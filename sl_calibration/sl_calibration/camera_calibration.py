@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.cameras import CameraModel
-from sl_common.errors import InvalidInputError
 
 from sl_calibration.board_bundle import (
     BundleError,
@@ -22,6 +20,8 @@ from sl_calibration.board_bundle import (
 from sl_calibration.chessboard import Board
 from sl_calibration.intrinsics import CAMERA_PRIORS, MODELS, Parametrisation, Priors
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,8 @@ def calibrate_camera(
     corners = np.asarray(corners, dtype=np.float64)
     if len(corners) < MIN_VIEWS:
         raise InvalidInputError(
-            f"too few views: {len(corners)}, at least {MIN_VIEWS} are needed, better 10 with the board tilted differently"
+            f"too few views: {len(corners)}, at least {MIN_VIEWS} are needed, better 10 with the board tilted"
+            f" differently"
         )
     names = MODELS if options.model == "auto" else (options.model,)
     kept, starts = corners, {}
@@ -128,7 +129,7 @@ def calibrate_camera(
     for name in names[1:]:
         if scores[name] < _BETTER * scores[chosen] or not np.isfinite(scores[chosen]):
             chosen = name
-    problem, result = fits[chosen]
+    result = fits[chosen][1]
     parametrisation = Parametrisation(chosen, width, height)
     covariance = honest_covariance(result, tests[chosen][1])
     return CameraCalibration(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
 from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
@@ -97,12 +98,12 @@ def detect_corners(image: NDArray[np.uint8], board: Board) -> Array:
         if gray.size * scale**2 > _MAX_PIXELS and scale > 1:
             continue
         corners = _sector_based(gray, size, scale)
-        if corners is not None and _alternates(gray, corners, board):
+        if corners is not None and _is_board(gray, corners, board):
             return _oriented(corners, board)
     found = _any_board(gray)
     if found is None or min(found) < 4 or sorted(found) == sorted(size):
         corners = _older_detector(gray, size)
-        if corners is not None and _alternates(gray, corners, board):
+        if corners is not None and _is_board(gray, corners, board):
             return _oriented(corners, board)
     if found is None:
         raise BoardNotFoundError(f"no chessboard of {board} inner corners found")
@@ -155,13 +156,17 @@ def _refined(gray: NDArray[np.uint8], corners: Array, size: tuple[int, int]) -> 
     return out
 
 
+def _is_board(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
+    return _alternates(gray, corners, board) and not _continues(gray, corners, board)
+
+
 def _alternates(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
     """Whether dark and bright squares meet at the corners of every outer row and column.
 
     A detector that is asked for a larger board than there is may continue the grid over the board's margin.
     """
     grid = corners.reshape(board.rows, board.columns, 2)
-    x, y = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    x, y = (np.asarray(np.gradient(grid, axis=axis)) for axis in (1, 0))
     around = np.stack([grid + 0.4 * (a * x + b * y) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]).astype(
         np.float32
     )
@@ -176,6 +181,23 @@ def _alternates(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
     saddle = (same[0] > other[1]) | (other[0] > same[1])
     sides = (saddle[0], saddle[-1], saddle[:, 0], saddle[:, -1])
     return bool(saddle.mean() > 0.8 and min(side.mean() for side in sides) > 0.5)
+
+
+def _continues(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
+    """Whether the squares go on beyond the corners found: they are a part of a larger board."""
+    grid = corners.reshape(board.rows, board.columns, 2)
+    for larger, extended in (
+        (Board(board.columns, board.rows + 1, board.square), np.concatenate([grid, 2 * grid[-1:] - grid[-2:-1]])),
+        (Board(board.columns, board.rows + 1, board.square), np.concatenate([2 * grid[:1] - grid[1:2], grid])),
+        (
+            Board(board.columns + 1, board.rows, board.square),
+            np.concatenate([grid, 2 * grid[:, -1:] - grid[:, -2:-1]], 1),
+        ),
+        (Board(board.columns + 1, board.rows, board.square), np.concatenate([2 * grid[:, :1] - grid[:, 1:2], grid], 1)),
+    ):
+        if _alternates(gray, extended.reshape(-1, 2), larger):
+            return True
+    return False
 
 
 def _any_board(gray: NDArray[np.uint8]) -> tuple[int, int] | None:

@@ -1,4 +1,5 @@
-"""Colour and intensity calibration (section III.B): from chart samples to the letters' drive values and colours.yaml."""
+"""Colour and intensity calibration (section III.B): from chart samples to the letters' drive values and
+colours.yaml."""
 
 import os
 from dataclasses import dataclass
@@ -77,7 +78,8 @@ def calibrate_colours(
 
 
 def save_colours(path: str | os.PathLike[str], result: ColourCalibration) -> None:
-    """Write colours.yaml: date, units, residuals, samples; responses, mixing, camera_gamma; letters with rgb, camera_rgb."""
+    """Write colours.yaml: date, units, residuals, samples; responses, mixing, camera_gamma; letters with rgb,
+    camera_rgb."""
     model = result.model
     residuals = {"fit_rms_grey_levels": model.rms}
     data: dict[str, Any] = provenance(samples=result.samples, residuals=residuals)

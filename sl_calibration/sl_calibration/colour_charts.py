@@ -1,7 +1,7 @@
 """From photographs of the projected charts to camera values of drive values.
 
-No correspondence between camera and projector is needed: over all frames of the colour chart every place sees every drive
-value once, in an order that tells which patch it belongs to.
+No correspondence between camera and projector is needed: over all frames of the colour chart every place sees every
+drive value once, in an order that tells which patch it belongs to.
 """
 
 from dataclasses import dataclass
@@ -58,13 +58,15 @@ def colour_chart_samples(frames: NDArray[np.uint8], intensity_frames: NDArray[np
     saturated = float((seen.max(axis=0) >= 252).any(-1).mean())
     if saturated > 0.9:
         raise InvalidInputError(
-            f"the camera saturates on {100 * saturated:.0f} % of the lit places: shorten the exposure until white is not"
+            f"the camera saturates on {100 * saturated:.0f} % of the lit places: shorten the exposure until white"
+            f" is not"
         )
     patch = _patches(seen)
     found = patch >= 0
     if found.sum() < max(50, 0.3 * len(found)):
         raise InvalidInputError(
-            f"only {100 * found.mean():.0f} % of the lit places show the chart's sequence: frames missing or in the wrong"
+            f"only {100 * found.mean():.0f} % of the lit places show the chart's sequence: frames missing or in the"
+            f" wrong"
             " order, automatic exposure, or a scene that moved"
         )
     seen, patch = seen[:, found], patch[found]
@@ -100,7 +102,8 @@ def _choose(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
     lit = np.argwhere(contrast > limit)
     if len(lit) < 100:
         raise InvalidInputError(
-            f"only {len(lit)} pixels change with the chart: is the projector's light in the image, and the exposure long"
+            f"only {len(lit)} pixels change with the chart: is the projector's light in the image, and the exposure"
+            f" long"
             " enough?"
         )
     return lit[np.random.default_rng(0).permutation(len(lit))[:_PLACES]]

@@ -1,11 +1,12 @@
 """Drive values of the letters, such that the camera tells them apart best (section III.B).
 
-The least distance between any two letters of one shape in the camera's colour space is made as great as it gets, without
-saturating the camera and without letters too dark to be found. Distance along the common brightness counts less than
-distance in colour: a darker surface dims a letter, but does not change its hue.
+The least distance between any two letters of one shape in the camera's colour space is made as great as it gets,
+without saturating the camera and without letters too dark to be found. Distance along the common brightness counts
+less than distance in colour: a darker surface dims a letter, but does not change its hue.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ class LetterOptions:
     floor: float = 0.35
     intensity_weight: float = 0.5
     seed: int = 0
-    restarts: int = 12
+    restarts: int = 8
 
 
 def least_distance(camera: Array, shapes: tuple[str, ...], weight: float = 1.0) -> float:
@@ -51,15 +52,16 @@ def choose_letters(
     *,
     albedos: Array | None = None,
     like: Array | None = None,
-) -> Array:
+) -> NDArray[np.uint8]:
     """Choose drive values.
 
     Args:
         model: The fitted response.
         shapes: Shape of each of the A letters; letters of different shapes need not differ in colour.
         options: See LetterOptions.
-        albedos: (K, 3) factors on the camera values of surfaces that the scene has (Caspi's adaptation); None: one surface.
-        like: (A, 3) camera values of the letters before; the new colours are dealt out so that each stays near its own.
+        albedos: (K, 3) factors on the camera values of surfaces that the scene has (Caspi's adaptation); None: one
+        surface. like: (A, 3) camera values of the letters before; the new colours are dealt out so that each stays
+        near its own.
 
     Returns:
         (A, 3) uint8 drive values, R G B.
@@ -93,12 +95,18 @@ def choose_letters(
     return chosen.astype(np.uint8)
 
 
+@cache
+def _pairs(shapes: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices (P,), (P,) of letters of the same shape."""
+    i, j = np.triu_indices(len(shapes), 1)
+    same = np.array([shapes[a] == shapes[b] for a, b in zip(i, j, strict=True)], dtype=bool)
+    return i[same], j[same]
+
+
 def _distances(camera: Array, shapes: tuple[str, ...], weight: float) -> Array:
     """Upper triangle (P,) of weighted distances of camera values (..., A, 3), least over the leading dimensions."""
     camera = np.asarray(camera, dtype=np.float64)
-    i, j = np.triu_indices(camera.shape[-2], 1)
-    same = np.array([shapes[a] == shapes[b] for a, b in zip(i, j, strict=True)])
-    i, j = i[same], j[same]
+    i, j = _pairs(shapes)
     if not len(i):
         return np.array([np.inf])
     difference = camera[..., i, :] - camera[..., j, :]

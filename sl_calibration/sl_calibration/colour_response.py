@@ -2,9 +2,9 @@
 
     camera_j = 255 * (sum_i mixing_ji * response_i(drive_i)) ** (1 / gamma_j)      above black, R G B
 
-Projector responses are monotone, 0 at 0 and 1 at 255. The mixing holds the overlap of the two sets of colour filters, the
-gains and the surface's albedo. The exponent stands for the camera's own response: a surface of other albedo then scales the
-values of each channel, which the rest of the calibration relies on.
+Projector responses are monotone, 0 at 0 and 1 at 255. The mixing holds the overlap of the two sets of colour filters,
+the gains and the surface's albedo. The exponent stands for the camera's own response: a surface of other albedo then
+scales the values of each channel, which the rest of the calibration relies on.
 """
 
 from dataclasses import dataclass
@@ -65,7 +65,8 @@ def fit_response(drives: ArrayLike, camera: ArrayLike) -> ColourModel:
     usable = np.isfinite(camera) & (camera < SATURATED)
     if len(drives) < 8 or usable.sum() < 20:
         raise InvalidInputError(
-            f"{usable.sum()} usable values of {len(drives)} patches (saturated ones do not count): lower the exposure, or"
+            f"{usable.sum()} usable values of {len(drives)} patches (saturated ones do not count): lower the"
+            f" exposure, or"
             " show the whole chart"
         )
     if np.nanmax(camera) < 10:
@@ -108,7 +109,8 @@ def fit_response(drives: ArrayLike, camera: ArrayLike) -> ColourModel:
     rms = float(np.sqrt(np.nanmean(error**2)))
     if rms > 0.15 * float(np.nanmax(camera)):
         raise InvalidInputError(
-            f"the chart does not fit any response: {rms:.1f} grey levels RMS of {np.nanmax(camera):.0f}; are the images in"
+            f"the chart does not fit any response: {rms:.1f} grey levels RMS of {np.nanmax(camera):.0f}; are the"
+            f" images in"
             " the order of projection, with automatic exposure and white balance off?"
         )
     return ColourModel(fitted.levels, fitted.responses, fitted.mixing, fitted.gamma, rms)

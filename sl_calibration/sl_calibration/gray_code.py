@@ -10,6 +10,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
 from pattern_gen.gray_code import Arrangement, bit_count, decode_words
 from sl_common.errors import InvalidInputError
 
@@ -155,7 +156,8 @@ def decode(capture: Capture) -> GrayMap:
 
 
 def check_order(capture: Capture, region: NDArray[np.float64]) -> None:
-    """Check on a smooth part of the scene that the decoded map is smooth, else find which images are in each other's place.
+    """Check on a smooth part of the scene that the decoded map is smooth, else find which images are in each other's
+    place.
 
     Args:
         capture: The capture.
@@ -189,12 +191,14 @@ def check_order(capture: Capture, region: NDArray[np.float64]) -> None:
         if swaps:
             named = [" and ".join(capture.names[2 * offset + frame] for frame in pair) for pair in swaps]
             raise CaptureError(
-                f"{' (or '.join(named[:3])}{')' * (len(named[:3]) - 1)} are swapped: the decoded {name}s are smooth with"
+                f"{' (or '.join(named[:3])}{')' * (len(named[:3]) - 1)} are swapped: the decoded {name}s are smooth"
+                f" with"
                 " them exchanged"
             )
         if fit > _BROKEN_FIT:
             raise CaptureError(
-                f"the decoded {name}s jump across the board ({fit:.1f} px off a smooth map in the median): images in the"
+                f"the decoded {name}s jump across the board ({fit:.1f} px off a smooth map in the median): images"
+                f" in the"
                 f" wrong order, a wrong --projector size, or another arrangement than {capture.arrangement.value}"
             )
     if slopes[0][0] * slopes[1][1] - slopes[0][1] * slopes[1][0] < 0:
@@ -227,7 +231,8 @@ def _check_pairs(capture: Capture) -> None:
     if len(bad):
         names = [f"{capture.names[2 * k]} and {capture.names[2 * k + 1]}" for k in bad]
         raise CaptureError(
-            f"{'; '.join(names[:3])} {'are' if len(bad) == 1 else 'each are'} not a pattern and its inverse (their sum is off by"
+            f"{'; '.join(names[:3])} {'are' if len(bad) == 1 else 'each are'} not a pattern and its inverse (their"
+            f" sum is off by"
             f" {100 * off[bad[0]]:.0f} % of the contrast): swapped or stale images?"
         )
 
@@ -239,14 +244,16 @@ def _check_last_bits(capture: Capture) -> None:
         share = float((capture.pairs[last, 0] > capture.pairs[last, 1])[lit].mean())
         if not 0.03 < share < 0.97:
             raise CaptureError(
-                f"{capture.names[2 * last]} and {capture.names[2 * last + 1]} should be the finest bit and its inverse, but one"
+                f"{capture.names[2 * last]} and {capture.names[2 * last + 1]} should be the finest bit and its"
+                f" inverse, but one"
                 f" is brighter in {100 * max(share, 1 - share):.0f} % of the image: is {capture.projector[0]}x"
                 f"{capture.projector[1]} the projector's size, and are the images in order?"
             )
 
 
 def _smoothness(values: NDArray[np.int64], place: Array) -> tuple[float, Array]:
-    """Median distance [px] of decoded values (K,) from a smooth function of the place, and its slope (2,) at the middle."""
+    """Median distance [px] of decoded values (K,) from a smooth function of the place, and its slope (2,) at the
+    middle."""
     known = values >= 0
     if known.sum() < 0.5 * len(values):
         return float("inf"), np.zeros(2)

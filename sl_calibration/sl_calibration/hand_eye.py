@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from sl_common.errors import InvalidInputError
 
 from sl_calibration.hand_eye_closed_forms import (
     MotionPairs,
@@ -23,6 +22,7 @@ from sl_calibration.hand_eye_closed_forms import (
 from sl_calibration.pose_stream import PoseStream
 from sl_calibration.time_offset import estimate_offset
 from sl_common import transforms
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,8 @@ class _Samples:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """flange_from_camera, base_from_target, offset, the residuals' spread (6,) and the covariance (6, 6) of the first."""
+    """flange_from_camera, base_from_target, offset, the residuals' spread (6,) and the covariance (6, 6) of the
+    first."""
 
     hand_eye: Array
     target: Array
@@ -236,7 +237,8 @@ def _checked_pairs(samples: _Samples, offset: float, options: HandEyeOptions) ->
         axis = np.linalg.svd(pairs.hand_vectors, full_matrices=False)[2][0]
         raise InvalidInputError(
             f"degenerate motion: all rotations are about one axis of the hand ({axis[0]:.2f}, {axis[1]:.2f},"
-            f" {axis[2]:.2f}), {np.degrees(pairs.second_axis):.1f} deg about any other; add poses that turn about another axis by 30 deg and more"
+            f" {axis[2]:.2f}), {np.degrees(pairs.second_axis):.1f} deg about any other; add poses that turn about"
+            f" another axis by 30 deg and more"
         )
     return pairs
 
@@ -282,10 +284,12 @@ def _median_pose(poses: Array) -> Array:
     return start
 
 
-def _refine(samples: _Samples, start: Array, offset: float, estimate_offset_too: bool) -> _Fit:
-    """Joint robust least squares; the spreads of positions and rotations are learned from the residuals."""
+def _refine(
+    samples: _Samples, start: Array, offset: float, estimate_offset_too: bool, known: Array | None = None
+) -> _Fit:
+    """Joint robust least squares; the spreads of positions and rotations are learned from the residuals, or known."""
     target = _median_pose(_targets(samples, start, offset))
-    sigma = np.array([2e-3] * 3 + [5e-3] * 3)
+    sigma = np.array([2e-3] * 3 + [5e-3] * 3) if known is None else known
     used = samples.thinned(_REFINE_SAMPLES)
     parameters = np.zeros(13 if estimate_offset_too else 12)
 
@@ -295,7 +299,7 @@ def _refine(samples: _Samples, start: Array, offset: float, estimate_offset_too:
         return (transforms.difference(used.eye, predicted) / sigma).ravel()
 
     solution = None
-    for _ in range(4):
+    for _ in range(4 if known is None else 1):
         solution = least_squares(
             residuals, parameters, loss="cauchy", f_scale=3.0, x_scale=np.array([0.01] * len(parameters)), max_nfev=60
         )
@@ -349,7 +353,8 @@ def _check_belongs(samples: _Samples, fit: _Fit) -> None:
     if np.median(position) > 0.1 * reach or np.median(rotation) > np.radians(5):
         raise InvalidInputError(
             f"hand and eye do not belong together: the target strays by {1e3 * np.median(position):.0f} mm and"
-            f" {np.degrees(np.median(rotation)):.1f} deg in the median; shuffled poses, a target that moved, or poses of"
+            f" {np.degrees(np.median(rotation)):.1f} deg in the median; shuffled poses, a target that moved, or"
+            f" poses of"
             " another frame"
         )
 
@@ -357,8 +362,8 @@ def _check_belongs(samples: _Samples, fit: _Fit) -> None:
 def _leave_out(samples: _Samples, fit: _Fit, estimate: bool) -> tuple[Array, Array, Array]:
     """Fit without each of eight blocks (single poses when there are few) and place its samples by the rest's result.
 
-    Returns the distance [m] and angle [rad] (N,) of each left-out sample's base_from_target from the mean of them all, and
-    the changes (K, 6) of the hand-eye transform.
+    Returns the distance [m] and angle [rad] (N,) of each left-out sample's base_from_target from the mean of them
+    all, and the changes (K, 6) of the hand-eye transform.
     """
     number = len(samples.times)
     folds = np.arange(number) * _FOLDS // number if samples.moving else np.arange(number) % min(number, _FOLDS)
@@ -366,7 +371,7 @@ def _leave_out(samples: _Samples, fit: _Fit, estimate: bool) -> tuple[Array, Arr
     replicates = []
     for fold in range(int(folds.max()) + 1):
         test = folds == fold
-        trained = _refine(samples.of(~test), fit.hand_eye, fit.offset, estimate)
+        trained = _refine(samples.of(~test), fit.hand_eye, fit.offset, estimate, fit.sigma)
         found[test] = _targets(samples.of(test), trained.hand_eye, trained.offset)
         replicates.append(transforms.difference(fit.hand_eye, trained.hand_eye))
     delta = transforms.difference(_median_pose(found), found)

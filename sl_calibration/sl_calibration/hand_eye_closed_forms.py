@@ -1,7 +1,8 @@
 """Closed forms of the hand-eye equation A X = X B: Tsai and Lenz 1989, Park and Martin 1994, Daniilidis 1999.
 
-A: motions of the hand, hand_i_from_hand_j; B: motions of the eye, eye_i_from_eye_j; X: hand_from_eye. Only pairs that turn
-far enough say something about the rotation, and pairs whose two angles differ are wrong: both are filtered beforehand.
+A: motions of the hand, hand_i_from_hand_j; B: motions of the eye, eye_i_from_eye_j; X: hand_from_eye. Only pairs that
+turn far enough say something about the rotation, and pairs whose two angles differ are wrong: both are filtered
+beforehand.
 """
 
 from dataclasses import dataclass
@@ -86,7 +87,8 @@ def solve_tsai(pairs: MotionPairs) -> Array:
 
 
 def solve_daniilidis(pairs: MotionPairs) -> Array | None:
-    """Return X (4, 4) by dual quaternions, rotation and translation at once; None where the null space is degenerate."""
+    """Return X (4, 4) by dual quaternions, rotation and translation at once; None where the null space is
+    degenerate."""
     a, a_dual = _dual_quaternion(pairs.hand)
     b, b_dual = _dual_quaternion(pairs.eye)
     rows = np.zeros((len(a), 6, 8))
@@ -123,7 +125,7 @@ def _translation(pairs: MotionPairs, rotation: Array, *, scaled: bool = False) -
     moved = (pairs.eye[:, :3, 3] @ rotation.T).ravel()
     right = pairs.hand[:, :3, 3].ravel()
     if not scaled:
-        return np.linalg.lstsq(left, right - moved, rcond=None)[0], 1.0
+        return np.asarray(np.linalg.lstsq(left, right - moved, rcond=None)[0], dtype=np.float64), 1.0
     solution = np.linalg.lstsq(np.concatenate([left, moved[:, None]], axis=1), right, rcond=None)[0]
     return solution[:3], float(solution[3])
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.errors import InvalidInputError
 
 from sl_common import transforms
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,8 @@ def load_poses(path: str | os.PathLike[str]) -> PoseStream:
         raise InvalidInputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(f"{path}: cannot be read: {error}") from None
-    values, rows = [], []
+    values: list[list[float]] = []
+    rows: list[int] = []
     for number, line in enumerate(lines, start=1):
         text = line.strip()
         if not text or text.startswith("#"):
@@ -94,14 +95,16 @@ def load_poses(path: str | os.PathLike[str]) -> PoseStream:
 
 
 def make_stream(values: Array, rows: NDArray[np.int64] | None = None, name: str = "poses") -> PoseStream:
-    """Make a stream of rows (N, 8) of t [s], position [m], quaternion xyzw. Raises InvalidInputError as load_poses does."""
+    """Make a stream of rows (N, 8) of t [s], position [m], quaternion xyzw. Raises InvalidInputError as load_poses
+    does."""
     rows = np.arange(1, len(values) + 1) if rows is None else rows
     if len(values) < 2:
         raise InvalidInputError(f"{name}: too few poses: {len(values)}")
     farthest = float(np.abs(values[:, 1:4]).max())
     if farthest > _FARTHEST:
         raise InvalidInputError(
-            f"{name}: a position of {farthest:g} m (line {rows[np.argmax(np.abs(values[:, 1:4]).max(1))]}): mixed units?"
+            f"{name}: a position of {farthest:g} m (line {rows[np.argmax(np.abs(values[:, 1:4]).max(1))]}): mixed"
+            f" units?"
             " Positions are in metres"
         )
     order = np.argsort(values[:, 0], kind="stable")

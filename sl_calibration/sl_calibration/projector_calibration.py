@@ -11,8 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import rq
-from sl_common.cameras import CameraModel
-from sl_common.errors import InvalidInputError
 
 from sl_calibration.board_bundle import (
     BundleError,
@@ -29,6 +27,8 @@ from sl_calibration.intrinsics import CAMERA_PRIORS, PROJECTOR_PRIORS, Parametri
 from sl_calibration.triangulation import TriangulationOptions, triangulate
 from sl_calibration.virtual_screen import starting_centers
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -151,7 +151,8 @@ def calibrate_procam(
     observed[~np.isfinite(observed).all(-1)] = np.nan
     if len(observed) < MIN_VIEWS:
         raise InvalidInputError(
-            f"too few views: {len(observed)} capture of the board, at least {MIN_VIEWS} with the board tilted differently"
+            f"too few views: {len(observed)} capture of the board, at least {MIN_VIEWS} with the board tilted"
+            f" differently"
             " are needed, better 5"
         )
     camera = Parametrisation(options.camera_model, *camera_size)
@@ -213,7 +214,8 @@ def _report(problem: BundleProblem, result: BundleResult, board: Board, pair: _P
 def rigid_fit(
     observed: Array, camera: CameraModel, projector: CameraModel, camera_from_projector: Array, board: Board
 ) -> float:
-    """Triangulate a view's corners (N, 4: camera and projector px) and return their RMS distance [mm] from the board."""
+    """Triangulate a view's corners (N, 4: camera and projector px) and return their RMS distance [mm] from the
+    board."""
     options = TriangulationOptions(max_epipolar_distance=np.inf, projector_sigma=0.5, camera_sigma=0.5)
     seen = np.isfinite(observed).all(-1)
     found = triangulate(camera, projector, camera_from_projector, observed[seen, :2], observed[seen, 2:], options)
@@ -272,7 +274,8 @@ def _best_start(
 def _projector_starts(
     points: Array, pixels: Array, projector: Parametrisation, guess: CameraModel | None
 ) -> list[tuple[Array, Array]]:
-    """Return (matrix (3, 3), projector_from_camera (4, 4)) to start from: linear, from virtual screens, from the guess."""
+    """Return (matrix (3, 3), projector_from_camera (4, 4)) to start from: linear, from virtual screens, from the
+    guess."""
     starts = []
     linear = _linear_projector(points, pixels)
     if linear is not None and _plausible(linear[0], projector):

@@ -42,8 +42,8 @@ def projector_corners(corners: Array, gray_map: GrayMap, board: Board, options: 
     """
     options = options or MappingOptions()
     grid = corners.reshape(board.rows, board.columns, 2)
-    along_x = np.gradient(grid, axis=1).reshape(-1, 2)
-    along_y = np.gradient(grid, axis=0).reshape(-1, 2)
+    along_x = np.asarray(np.gradient(grid, axis=1)).reshape(-1, 2)
+    along_y = np.asarray(np.gradient(grid, axis=0)).reshape(-1, 2)
     homography, tolerance = _board_homography(corners, gray_map)
     out = np.full(corners.shape, np.nan)
     for k, corner in enumerate(corners):

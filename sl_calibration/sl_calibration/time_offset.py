@@ -42,7 +42,7 @@ def estimate_offset(hand: PoseStream, eye: PoseStream, largest: float) -> float:
     best = 0.0
     for around, reach, step in ((0.0, largest, _COARSE), (None, 2 * _COARSE, _FINE)):
         centre = best if around is None else around
-        grid = centre + step * np.arange(-int(round(reach / step)), int(round(reach / step)) + 1)
+        grid = centre + step * np.arange(-round(reach / step), round(reach / step) + 1)
         scores = np.array([angle_mismatch(hand, eye, float(offset)) for offset in grid])
         if not np.isfinite(scores).any():
             return 0.0

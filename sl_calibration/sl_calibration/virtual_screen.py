@@ -1,9 +1,9 @@
 """The virtual projector screen for lens shift (Koninckx; section III.B).
 
-The panel of most projectors is mounted off the lens's axis, so the principal point lies near the panel's edge or outside
-it. A virtual screen is a larger panel, centred on the axis, of which the real one is a part: with height a on one side of
-the central ray and b on the other, it is 2a / (a + b) times as high as the real one. A calibration that wants the
-principal point near the middle of the image can start from it.
+The panel of most projectors is mounted off the lens's axis, so the principal point lies near the panel's edge or
+outside it. A virtual screen is a larger panel, centred on the axis, of which the real one is a part: with height a on
+one side of the central ray and b on the other, it is 2a / (a + b) times as high as the real one. A calibration that
+wants the principal point near the middle of the image can start from it.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,8 @@ class VirtualScreen:
 
 
 def growth(larger: float, smaller: float) -> float:
-    """Return 2a / (a + b): a on the larger side of the central ray, b on the other, negative when the ray is outside."""
+    """Return 2a / (a + b): a on the larger side of the central ray, b on the other, negative when the ray is
+    outside."""
     return 2 * larger / (larger + smaller)
 
 
@@ -62,7 +63,8 @@ def virtual_screen(width: int, height: int, center: Array) -> VirtualScreen:
 
 
 def starting_centers(width: int, height: int) -> list[tuple[float, float]]:
-    """Return principal points to start from: no shift, and shifts down, up, right and left to beyond the panel's edge."""
+    """Return principal points to start from: no shift, and shifts down, up, right and left to beyond the panel's
+    edge."""
     middle = ((width - 1) / 2, (height - 1) / 2)
     centers = [middle]
     for share in _SHARES[1:]:

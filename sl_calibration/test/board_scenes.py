@@ -1,4 +1,5 @@
-"""Known truth for the grid calibrations: views of a board, corners in camera and projector, photographs of Gray code."""
+"""Known truth for the grid calibrations: views of a board, corners in camera and projector, photographs of Gray
+code."""
 
 from dataclasses import dataclass
 from functools import cache

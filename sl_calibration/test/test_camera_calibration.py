@@ -1,4 +1,5 @@
-"""Camera calibration: recovery of known truth within the stated uncertainty, choice of the model, refusals, real images."""
+"""Camera calibration: recovery of known truth within the stated uncertainty, choice of the model, refusals, real
+images."""
 
 import os
 from pathlib import Path
@@ -152,4 +153,4 @@ def test_real_wide_angle_camera(tmp_path, capsys):
     assert training["pers_free"] <= 1.39
     assert training["pers_tied"] <= 3.45
     assert training["plumb_bob"] <= 1.32
-    assert [line for line in lines if line.endswith("<- chosen")][0].split()[1] == min(left_out, key=left_out.get)
+    assert next(line for line in lines if line.endswith("<- chosen")).split()[1] == min(left_out, key=left_out.get)

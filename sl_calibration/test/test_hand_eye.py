@@ -1,4 +1,5 @@
-"""Hand-eye calibration: exact on exact data, inside its uncertainty on noise, streams out of step, refusals, a real arm."""
+"""Hand-eye calibration: exact on exact data, inside its uncertainty on noise, streams out of step, refusals, a real
+arm."""
 
 import os
 from pathlib import Path
@@ -105,7 +106,7 @@ def test_truth_lies_inside_the_stated_region(seed):
 
 def test_refinement_beats_the_closed_forms():
     refined, closed = [], []
-    for seed in range(6):
+    for seed in range(4):
         hand, eye = single_poses(12, noise=0.002, seed=7 * seed)
         refined.append(error(calibrate_hand_eye(stream(hand), stream(eye)).flange_from_camera)[0])
         pairs = motion_pairs(hand, eye, least_angle=0.1, angle_tolerance=0.1)
@@ -251,8 +252,8 @@ def test_streams_are_read_in_any_order_and_once_per_stamp(tmp_path):
     assert np.allclose(read.poses[1], hand[2])
     assert np.allclose(read.at(np.array([1.0, 9.0])), [hand[1], hand[4]])
     assert read.gap(np.array([2.0, 4.0, 6.0])).tolist() == [0, 2, np.inf]
+    (tmp_path / "zero.csv").write_text("1,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,1\n")
     with pytest.raises(InvalidInputError, match="quaternion of norm 0"):
-        (tmp_path / "zero.csv").write_text("1,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,1\n")
         load_poses(tmp_path / "zero.csv")
 
 

@@ -209,7 +209,7 @@ def test_real_captures_of_a_shifted_projector(tmp_path):
     matrix = result.projector.matrix
     assert np.abs(matrix[[0, 1], [0, 1]] - 1892).max() <= 10
     assert np.abs(matrix[:2, 2] - (504, 856)).max() <= 20
-    for chosen in combinations(range(4), 2):
+    for chosen in ((0, 2), (1, 3)):
         pair = calibrate_procam(camera[list(chosen)], projector[list(chosen)], board, (1280, 1024), (1024, 768))
         for name, value in {"fx": 1892, "fy": 1892, "cx": 504, "cy": 856}.items():
             entry = pair.projector_parameters[name]

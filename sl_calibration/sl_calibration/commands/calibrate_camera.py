@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from sl_common.calibration_files import provenance, save_camera
-from sl_common.errors import InvalidInputError
 
 from sl_calibration.board_bundle import OddViewError
 from sl_calibration.camera_calibration import (
@@ -21,11 +19,14 @@ from sl_calibration.camera_calibration import (
 from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
 from sl_calibration.commands.shared import progress, read_image, run
 from sl_calibration.intrinsics import MODELS
+from sl_common.calibration_files import provenance, save_camera
+from sl_common.errors import InvalidInputError
 
 EXAMPLE = """example:
   ros2 run sl_calibration calibrate_camera --board 8x6 --square 0.03 --output calibration/camera.yaml images/*.jpg
 The board is given by its inner corners. 10 images or more, the board tilted differently in each and reaching into the
-image's corners. The left-out error is that of views that the calibration did not see: it chooses the distortion model."""
+image's corners. The left-out error is that of views that the calibration did not see: it chooses the distortion
+model."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -61,7 +62,8 @@ def _run(args: argparse.Namespace) -> None:
         )
     except OddViewError as error:
         raise InvalidInputError(
-            f"{names[error.view]} does not fit the other images: {error.reason}. Another camera, board or zoom? Leave it out"
+            f"{names[error.view]} does not fit the other images: {error.reason}. Another camera, board or zoom?"
+            f" Leave it out"
         ) from None
     print(summary(result, names, args.model))
     save_camera(args.output, result.camera, name=args.name, extra=entries(result))
@@ -74,7 +76,8 @@ def find_boards(
     """Detect the board in images.
 
     Returns:
-        Names and corners (N, 2) of the images with the board, the images' (width, height), and (name, reason) of the rest.
+        Names and corners (N, 2) of the images with the board, the images' (width, height), and (name, reason) of the
+        rest.
 
     Raises:
         InvalidInputError: no image can be used, images of several sizes, or a board of another size in most of them.
@@ -87,7 +90,8 @@ def find_boards(
         own = (image.shape[1], image.shape[0])
         if size is not None and own != size:
             raise InvalidInputError(
-                f"{path} is {own[0]}x{own[1]}, the images before it are {size[0]}x{size[1]}: all must come from one camera"
+                f"{path} is {own[0]}x{own[1]}, the images before it are {size[0]}x{size[1]}: all must come from one"
+                f" camera"
                 " at one resolution; leave it out"
             )
         size = own

@@ -6,7 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
 from pattern_gen.gray_code import Arrangement
+from sl_calibration.board_bundle import OddViewError
+from sl_calibration.camera_calibration import rms, root_mean_square
+from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
+from sl_calibration.commands.calibrate_camera import parameter_line
+from sl_calibration.commands.shared import images_in, progress, read_image, run
+from sl_calibration.gray_code import Capture, CaptureError, check_order, decode, make_capture
+from sl_calibration.intrinsics import MODELS
+from sl_calibration.projector_calibration import ProcamCalibration, ProcamOptions, calibrate_procam
+from sl_calibration.projector_corners import projector_corners
+from sl_calibration.virtual_screen import virtual_screen
 from sl_common.calibration_files import (
     CAMERA_FILE,
     PROJECTOR_FILE,
@@ -18,25 +29,15 @@ from sl_common.calibration_files import (
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
 
-from sl_calibration.board_bundle import OddViewError
-from sl_calibration.camera_calibration import rms, root_mean_square
-from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
-from sl_calibration.commands.calibrate_camera import parameter_line
-from sl_calibration.commands.shared import images_in, progress, read_image, run
-from sl_calibration.gray_code import Capture, CaptureError, check_order, decode, make_capture
-from sl_calibration.intrinsics import MODELS
-from sl_calibration.projector_calibration import ProcamCalibration, ProcamOptions, calibrate_procam
-from sl_calibration.projector_corners import projector_corners
-from sl_calibration.virtual_screen import virtual_screen
-
 PAIR_FILE = "camera_from_projector.yaml"
 PAIR_KEY = "camera_from_projector"
 
 EXAMPLE = """example:
-  ros2 run sl_calibration calibrate_procam --board 9x7 --square 0.075 --projector 1024x768 --output calibration capture_*
+  ros2 run sl_calibration calibrate_procam --board 9x7 --square 0.075 --projector 1024x768 --output calibration
+  capture_*
 Each folder holds the photographs of one sequence in the order of their names: column bits, most significant first, each
-followed by its inverse, row bits likewise, then (optionally) all white and all black. Two captures or more, better five,
-the board tilted differently in each. Writes camera.yaml, projector.yaml and camera_from_projector.yaml."""
+followed by its inverse, row bits likewise, then (optionally) all white and all black. Two captures or more, better
+five, the board tilted differently in each. Writes camera.yaml, projector.yaml and camera_from_projector.yaml."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -169,7 +170,8 @@ def summary(result: ProcamCalibration, names: Sequence[str]) -> str:
         f"worst view: {names[worst]}",
         f"camera: {parameter_line(result.camera_parameters)}",
         f"projector: {parameter_line(result.projector_parameters)}",
-        f"virtual screen: {screen.width:.0f}x{screen.height:.0f}, grown by {screen.growth_x:.2f} and {screen.growth_y:.2f}",
+        f"virtual screen: {screen.width:.0f}x{screen.height:.0f}, grown by {screen.growth_x:.2f} and"
+        f" {screen.growth_y:.2f}",
     ]
     return "\n".join(lines)
 

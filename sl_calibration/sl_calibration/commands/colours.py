@@ -1,4 +1,5 @@
-"""Command colours: the letters' drive values that the camera tells apart best, from photographs of the colour charts."""
+"""Command colours: the letters' drive values that the camera tells apart best, from photographs of the colour
+charts."""
 
 import argparse
 import sys
@@ -19,7 +20,8 @@ EXAMPLE = """example:
       --output calibration/colours.yaml
 Project the frames with pattern_publisher's set_projection (COLOUR_CHART steps 0 to 27; INTENSITY_CHART steps 0 to 17 of
 red, then green, then blue) and take one photo of each, exposure and white balance fixed, nothing moving. The intensity
-chart is optional. Give the file to pattern_publisher and decoder (parameter colours_file) or decode_images --colours."""
+chart is optional. Give the file to pattern_publisher and decoder (parameter colours_file) or decode_images
+--colours."""
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from sl_common.calibration_files import HAND_EYE_KEY, PoseCalibration, provenance, save_pose
-from sl_common.transforms import to_quaternion
 
 from sl_calibration.commands.shared import run
 from sl_calibration.hand_eye import HandEye, HandEyeOptions, calibrate_hand_eye
 from sl_calibration.pose_stream import load_poses
+from sl_common.calibration_files import HAND_EYE_KEY, PoseCalibration, provenance, save_pose
+from sl_common.transforms import to_quaternion
 
 EXAMPLE = """example:
   ros2 run sl_calibration hand_eye --hand hand.csv --eye eye.csv --output calibration/hand_eye.yaml

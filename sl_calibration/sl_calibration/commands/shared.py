@@ -10,8 +10,9 @@ from typing import TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sl_common.errors import InvalidInputError, StructuredLightError
 from tqdm import tqdm
+
+from sl_common.errors import InvalidInputError, StructuredLightError
 
 Item = TypeVar("Item")
 
@@ -59,7 +60,8 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Return the image files of a folder in natural order. Raises InvalidInputError when there is no such folder or image."""
+    """Return the image files of a folder in natural order. Raises InvalidInputError when there is no such folder or
+    image."""
     if not folder.is_dir():
         raise InvalidInputError(f"{folder}: no such folder")
     files = sorted((f for f in folder.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES), key=natural_order)
