@@ -49,6 +49,7 @@ MEANING = {
     "/diagnostics": "rates, figures and the reason when something is wrong, at 1 Hz",
     "~/debug_image": "dots, graph, letters, rows and columns drawn on the image; made only while subscribed",
     "~/object": "pose, motion and covariance of the tracked object",
+    "~/reset_object": "forget the tracked object and begin anew with the next cloud",
     "~/status": "code and one sentence with the numbers, at 10 Hz and on change",
     "~/target": "camera pose that the arm heads for",
     "~/target_pose": "camera pose to servo to; refused when older than 0.1 s",

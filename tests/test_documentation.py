@@ -17,6 +17,7 @@ def declared(path):
         node.name
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
+        and not node.name.startswith("__")
         and any(isinstance(n, ast.Name) and n.id == "declare" for n in ast.walk(node))
     }
     names = set()

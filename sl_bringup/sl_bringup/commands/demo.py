@@ -51,7 +51,9 @@ def parse(arguments: list[str] | None = None) -> Options:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--scene", default="cylinder", help="plane, sphere, wavy, bust, boxes, ... (default: %(default)s)")
+    parser.add_argument(
+        "--scene", default="cylinder", help="plane, sphere, wavy, bust, boxes, ... (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of scene, mounting and noise (default: %(default)s)")
     parser.add_argument("--standoff", type=float, default=0.4, help="camera to surface [m] (default: %(default)s)")
     parser.add_argument("--duration", type=float, default=6.0, help="of the motion [s] (default: %(default)s)")
