@@ -145,16 +145,19 @@ def self_calibrate(
     )
     problem, state = _reject(problem, state, first=True)
     progress("bundle adjustment")
+    if options.projector_distortion:
+        problem, state = _with_distortion(problem, state)
     problem, state, tails = _robust(problem, state, warnings)
     if options.spot_diameter:
         problem, state = _start_centroids(problem, state, options.spot_diameter, tails)
-    problem, state, inflation = _refine(problem, state, options)
-    if options.projector_distortion:
-        progress("projector distortion")
-        problem, state, inflation = _try_distortion(problem, state, inflation, options)
+    refined = _refine(problem, state, options)
+    if options.projector_distortion and not _is_distorted(refined[0], refined[1]):
+        progress("projector without distortion")
+        refined = _refine(*_without_distortion(problem, state), options)
+    problem, state, inflation = refined
     progress("uncertainty")
     result = _result(problem, state, warnings, inflation, total)
-    warnings += check_determined(result, problem)
+    warnings += check_determined(result, problem, options.robot)
     if options.left_out:
         progress("views left out")
         result = replace(result, left_out=left_out_errors(problem, state))
@@ -303,26 +306,29 @@ def _with_centroids(problem: Problem, state: State) -> Problem:
     return replace(problem, displacement=displacement, smooth=smooth)
 
 
-def _try_distortion(
-    problem: Problem, state: State, inflation: tuple[float, float], options: SelfCalibrationOptions
-) -> tuple[Problem, State, tuple[float, float]]:
-    """Add the projector's k1, and keep it where it is significant and lowers the residuals."""
+def _with_distortion(problem: Problem, state: State) -> tuple[Problem, State]:
+    """Set the projector's k1 free, at zero."""
     model = lens.with_parameters(problem.projector, state.projector)
     model = CameraModel(model.width, model.height, model.matrix, "plumb_bob", (0.0,) * 5)
     free = np.array([name in (*lens.MATRIX_PARAMETERS, "k1") for name in lens.names("plumb_bob")])
-    plain = replace(
-        problem.noise,
-        camera=problem.noise.camera / np.sqrt(inflation[0]),
-        projector=problem.noise.projector / np.sqrt(inflation[1]),
-    )
-    bent = replace(problem, projector=model, free_projector=free, noise=plain)
-    bent, bent_state, bent_inflation = _refine(bent, replace(state, projector=lens.parameters(model)), options)
-    parameters, _ = _covariances(bent, bent_state)
-    index = bent.layout.projector.stop - 1
-    sigma = np.sqrt(parameters[index, index])
-    if abs(bent_state.projector[4]) > SIGNIFICANT * sigma and sigma < 0.5:
-        return bent, bent_state, bent_inflation
-    return problem, state, inflation
+    bent = replace(problem, projector=model, free_projector=free)
+    return bent, replace(state, projector=lens.parameters(model))
+
+
+def _without_distortion(problem: Problem, state: State) -> tuple[Problem, State]:
+    """Take the projector's distortion out again."""
+    model = lens.with_parameters(problem.projector, state.projector)
+    model = CameraModel(model.width, model.height, model.matrix)
+    plain = replace(problem, projector=model, free_projector=np.ones(4, dtype=bool))
+    return plain, replace(state, projector=lens.parameters(model))
+
+
+def _is_distorted(problem: Problem, state: State) -> bool:
+    """Tell whether the projector's k1 differs from zero by more than its uncertainty explains."""
+    parameters, _ = _covariances(problem, state)
+    index = problem.layout.projector.stop - 1
+    sigma = float(np.sqrt(parameters[index, index]))
+    return bool(abs(state.projector[4]) > SIGNIFICANT * sigma and sigma < 0.5)
 
 
 def _result(

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from sl_calibration.self_calibration.bundle_problem import Problem
 from sl_calibration.self_calibration.consistency import motion_spread
 from sl_calibration.self_calibration.errors import DegenerateMotionError, DegenerateSceneError
+from sl_calibration.self_calibration.noise_model import RobotNoise
 from sl_calibration.self_calibration.result import SelfCalibration
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ WEAK = 0.1
 """Share of the above from which on a warning says what to add."""
 
 
-def check_determined(result: SelfCalibration, problem: Problem) -> list[str]:
+def check_determined(result: SelfCalibration, problem: Problem, robot: RobotNoise) -> list[str]:
     """Return warnings about weakly determined unknowns.
 
     Raises DegenerateMotionError or DegenerateSceneError for unknowns that are not determined at all.
@@ -58,6 +59,12 @@ def check_determined(result: SelfCalibration, problem: Problem) -> list[str]:
             " into the projector's light"
         )
     warnings = []
+    if result.noise.position > 3 * robot.position or result.noise.rotation > 3 * robot.rotation:
+        warnings.append(
+            f"flange poses are noisier than stated: {1e3 * result.noise.position:.2f} mm and"
+            f" {np.degrees(result.noise.rotation):.3f} deg per axis instead of {1e3 * robot.position:.2f} mm and"
+            f" {np.degrees(robot.rotation):.3f} deg"
+        )
     if position > WEAK * REFUSED_POSITION or rotation > WEAK * REFUSED_ROTATION:
         warnings.append(
             f"hand-eye transform uncertain by {1e3 * position:.1f} mm along ({axis}) of the flange and"

@@ -17,6 +17,9 @@ LEAST_CAMERA = 0.01
 LEAST_PROJECTOR = 0.01
 """Least standard deviations [px]: exact (simulated) pixels must not make the equations singular."""
 
+MOST_ROBOT_NOISE = 10.0
+"""The robot's noise is never taken for more than so many times its prior: poses must not come loose from the robot."""
+
 _LAG = 10  # [dots] over which residuals may be correlated
 
 
@@ -32,7 +35,7 @@ class RobotNoise:
 
     position: float = 1e-4
     rotation: float = float(np.radians(0.02))
-    belief: float = 4.0
+    belief: float = 8.0
 
 
 def estimate(
@@ -92,7 +95,8 @@ def _blend(sigma: float, residual: Array, redundancy: float, prior: float, belie
     if np.isinf(belief):
         return prior
     squares = sigma**2 * float((residual**2).sum())
-    return float(np.sqrt((squares + belief * prior**2) / (max(redundancy, 0.0) + belief)))
+    estimated = float(np.sqrt((squares + belief * prior**2) / (max(redundancy, 0.0) + belief)))
+    return min(estimated, MOST_ROBOT_NOISE * prior)
 
 
 def correlation_inflation(grid: NDArray[np.int64], group: NDArray[np.int64], residual: Array) -> float:
