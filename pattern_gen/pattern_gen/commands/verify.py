@@ -18,7 +18,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ros2 run pattern_gen verify",
         description="Check that all windows of a pattern differ as its file says.",
-        epilog="example:\n  ros2 run pattern_gen verify pattern.yaml", formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="example:\n  ros2 run pattern_gen verify pattern.yaml",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("file", type=Path, help="the pattern file (YAML)")
     parser.add_argument("--hamming", type=int, help="check this distance instead of the file's min_hamming")
