@@ -160,8 +160,8 @@ def _is_board(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
     return _alternates(gray, corners, board) and not _continues(gray, corners, board)
 
 
-def _alternates(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
-    """Whether dark and bright squares meet at the corners of every outer row and column.
+def _alternates(gray: NDArray[np.uint8], corners: Array, board: Board, least_side: float = 0.3) -> bool:
+    """Whether dark and bright squares meet at the corners, at least in ``least_side`` of every outer row and column.
 
     A detector that is asked for a larger board than there is may continue the grid over the board's margin.
     """
@@ -178,9 +178,10 @@ def _alternates(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
         borderMode=cv2.BORDER_REPLICATE,
     ).reshape(4, board.rows, board.columns)
     same, other = np.sort(values[:2], axis=0), np.sort(values[2:], axis=0)
-    saddle = (same[0] > other[1]) | (other[0] > same[1])
+    strength = np.maximum(same[0].astype(np.float64) - other[1], other[0].astype(np.float64) - same[1])
+    saddle = strength > 0.2 * max(float(np.median(strength)), 1.0)
     sides = (saddle[0], saddle[-1], saddle[:, 0], saddle[:, -1])
-    return bool(saddle.mean() > 0.8 and min(side.mean() for side in sides) > 0.5)
+    return bool(saddle.mean() > 0.75 and min(side.mean() for side in sides) > least_side)
 
 
 def _continues(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
@@ -195,7 +196,7 @@ def _continues(gray: NDArray[np.uint8], corners: Array, board: Board) -> bool:
         ),
         (Board(board.columns + 1, board.rows, board.square), np.concatenate([2 * grid[:, :1] - grid[:, 1:2], grid], 1)),
     ):
-        if _alternates(gray, extended.reshape(-1, 2), larger):
+        if _alternates(gray, extended.reshape(-1, 2), larger, 0.8):
             return True
     return False
 
