@@ -11,10 +11,10 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sl_common.cameras import CameraModel
-from sl_common.errors import InvalidInputError
 
 from sl_common import transforms
+from sl_common.cameras import CameraModel
+from sl_common.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

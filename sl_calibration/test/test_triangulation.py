@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from sl_calibration.triangulation import Rejection, TriangulationOptions, camera_from_projector, triangulate
+from sl_common import transforms
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
-
-from sl_common import transforms
 
 PROJECTOR = CameraModel(1024, 768, np.array([[2000.0, 0, 514.5], [0, 2000, 698.9], [0, 0, 1]]))
 LENSES = {

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
-from sl_common.errors import StructuredLightError
 from tqdm import tqdm
 
 from pattern_gen import Pattern
@@ -15,6 +14,7 @@ from sl_calibration.self_calibration.files import save
 from sl_calibration.self_calibration.inputs import Motion, load_motion, load_views
 from sl_calibration.self_calibration.noise_model import RobotNoise
 from sl_calibration.self_calibration.result import SelfCalibration
+from sl_common.errors import StructuredLightError
 
 EXAMPLE = """example:
   ros2 run sl_decoder decode_images --pattern pattern.yaml --output decoded images/*.png

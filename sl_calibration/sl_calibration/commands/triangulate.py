@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from sl_common.calibration_files import CAMERA_FILE, PROJECTOR_FILE, load_camera, load_hand_eye, load_projector_pose
-from sl_common.errors import InvalidInputError, StructuredLightError
-from sl_common.files import write_text
 from tqdm import tqdm
 
 from pattern_gen import Pattern
@@ -16,6 +13,9 @@ from sl_calibration.self_calibration.inputs import load_motion, load_views
 from sl_calibration.self_calibration.views import View
 from sl_calibration.triangulation import Triangulation, TriangulationOptions, camera_from_projector, triangulate
 from sl_common import transforms
+from sl_common.calibration_files import CAMERA_FILE, PROJECTOR_FILE, load_camera, load_hand_eye, load_projector_pose
+from sl_common.errors import InvalidInputError, StructuredLightError
+from sl_common.files import write_text
 
 EXAMPLE = """example:
   ros2 run sl_calibration triangulate --calibration calibration --motion motion.json --correspondences decoded \\

@@ -10,7 +10,7 @@ from sl_calibration.self_calibration import centroids, consistency, lens
 from sl_calibration.self_calibration.bundle_adjustment import adjust, consider, covariance, normal_equations
 from sl_calibration.self_calibration.bundle_problem import Noise, Problem, State, linearise
 from sl_calibration.self_calibration.determinacy import check_determined
-from sl_calibration.self_calibration.errors import InconsistentPosesError, TooFewViewsError
+from sl_calibration.self_calibration.errors import InconsistentPosesError, SelfCalibrationError, TooFewViewsError
 from sl_calibration.self_calibration.initialise import resect_projector, translation_and_points
 from sl_calibration.self_calibration.left_out import left_out_errors
 from sl_calibration.self_calibration.noise_model import RobotNoise, estimate, inflate
@@ -103,7 +103,8 @@ def self_calibrate(
     pairs = pair_rotations(observations, normalised, focal)
     rotation, good = consistency.check_pairs(pairs, observations.names)
     if not good.all():
-        good = reinstate(observations, normalised, focal, rotation, good)
+        good = _reinstated(observations, normalised, focal, rotation, good)
+        consistency.check_most(pairs, observations.names, good)
     warnings = [f"left out: {name} has fewer than {LEAST_DOTS} dots" for name in sparse]
     warnings += [f"left out: {s}" for s in consistency.describe_outliers(pairs, observations.names, good)]
     observations, normalised = drop_views(observations, good, normalised)
@@ -162,6 +163,16 @@ def self_calibrate(
         progress("views left out")
         result = replace(result, left_out=left_out_errors(problem, state))
     return result
+
+
+def _reinstated(
+    observations: Observations, normalised: Array, focal: float, rotation: Array, good: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the views that fit once the dots are known; as they were where the good ones do not give any dots."""
+    try:
+        return reinstate(observations, normalised, focal, rotation, good)
+    except SelfCalibrationError:
+        return good
 
 
 def _check_pixels(observations: Observations, camera: CameraModel) -> None:

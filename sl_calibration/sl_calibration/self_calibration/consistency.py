@@ -93,8 +93,8 @@ def check_motion(poses: Array) -> MotionSpread:
 def check_pairs(pairs: PairRotations, names: Sequence[str]) -> tuple[Array, BoolArray]:
     """Return the hand-eye rotation (3, 3) and the views (V,) whose flange rotations fit the images.
 
-    Raises InconsistentPosesError when most do not, with the most likely reason, and TooFewViewsError when the views do
-    not share enough dots.
+    Raises InconsistentPosesError when hardly any do, with the most likely reason, and TooFewViewsError when the views
+    do not share enough dots.
     """
     count = len(names)
     seen = np.zeros(count, dtype=bool)
@@ -108,9 +108,15 @@ def check_pairs(pairs: PairRotations, names: Sequence[str]) -> tuple[Array, Bool
     except InconsistentPosesError:
         raise InconsistentPosesError(_reason(pairs, names, np.zeros(count, dtype=bool))) from None
     good = _consistent_views(pairs, agree, count) & seen
-    if good.sum() < max(LEAST_VIEWS, 0.6 * seen.sum()):
+    if good.sum() < LEAST_VIEWS:
         raise InconsistentPosesError(_reason(pairs, names, good))
     return rotation, good
+
+
+def check_most(pairs: PairRotations, names: Sequence[str], good: BoolArray) -> None:
+    """Raise InconsistentPosesError with the most likely reason where less than 60 % of the views are ``good`` (V,)."""
+    if good.sum() < max(LEAST_VIEWS, 0.6 * len(names)):
+        raise InconsistentPosesError(_reason(pairs, names, good))
 
 
 def _consistent_views(pairs: PairRotations, agree: BoolArray, count: int) -> BoolArray:
