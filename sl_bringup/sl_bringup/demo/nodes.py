@@ -33,7 +33,7 @@ def chain(calibration_folder: Path) -> list[Executable]:
     """Return the nodes that a real cell runs too: projector to setpoints.
 
     Two limits of the positioner are those of a simulation on a busy machine, not of a real cell: an image may take a
-    second to render, and the simulated driver may lag. Those on joint states and motion are the defaults.
+    second to render, and the simulated driver may lag. Those on the motion are the defaults.
     """
     return [
         executable("pattern_gen", "pattern_publisher"),
@@ -46,6 +46,7 @@ def chain(calibration_folder: Path) -> list[Executable]:
             cloud_timeout=4.0,
             lost_timeout=15.0,
             driver_lag=1.0,
+            joint_timeout=0.3,  # the ray caster takes the cores: joint states come late
         ),
     ]
 
