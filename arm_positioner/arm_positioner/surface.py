@@ -6,18 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_positioner.errors import TargetError
+from arm_positioner.kriging import HeightFit, fit_height
 
 Array = NDArray[np.float64]
 
-_PARAMETERS = 6  # of the quadric
-_TUKEY = 4.685  # 95 % efficiency for normal noise
-_ENOUGH = 400
-"""Points in a neighbourhood past which it need not grow: calibration errors then outweigh the noise."""
+_NEIGHBOURS = 120
+"""Points of a neighbourhood: about six dots in each direction."""
+_CORE = 25
+"""Points that give the first plane, and how rough the surface is."""
 _JUDGES = 150
 """Points that decide between candidate planes."""
-_AGREEMENT = 2.0
-"""Standard deviations within which neighbourhoods of different size have to agree."""
-_ROUNDING = np.array([1e-5, 1e-4, 1e-4])  # m, rad, rad
+_GROSS = 8.0
+"""Robust standard deviations from a quadric beyond which points are not believed to begin with."""
+_TURN = 0.1
+"""Angle between normal and axis of the height field past which the field is turned and fitted again [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +52,7 @@ class SurfacePatch:
         tangents: (2, 3) the two tangents.
         radius: Of the neighbourhood used [m].
         count: Number of inliers.
-        rms: Of their distances from the surface, corrected for the fit's freedom [m].
+        rms: Noise of the points along the normal [m].
     """
 
     point: Array
@@ -61,15 +63,20 @@ class SurfacePatch:
     count: int
     rms: float
 
+    @property
+    def normal_sigma(self) -> float:
+        """Standard deviation of the normal in its worst direction [rad]."""
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1], 0.0)))
+
 
 def fit_patch(
     points: Array, weights: Array, centre: Array, viewpoint: Array, spacing: float, *, options: FitOptions | None = None
 ) -> SurfacePatch:
-    """Fit a quadric z = a + b x + c y + d x^2 + e x y + f y^2 around ``centre`` and return its point and normal there.
+    """Fit a surface to the points nearest ``centre`` and return its point and normal there.
 
-    The radius follows the data: it grows while point and normal stay within the uncertainty of every smaller
-    neighbourhood (Lepski's rule), so that a flat face averages many dots and a curved one only as many as a quadric can
-    describe. Outliers are found by a least-median-of-squares plane and weighted down by Tukey's function.
+    How far points count is judged from the points: a flat face averages all of the neighbourhood, a curved one only as
+    much as its own roughness beside the noise permits; see :mod:`arm_positioner.kriging`. Heights are measured along
+    the normal itself. Points that their neighbours do not predict are left out.
 
     Args:
         points: (N, 3) points of one coherent patch [m].
@@ -83,75 +90,68 @@ def fit_patch(
     """
     options = options or FitOptions()
     distance = np.linalg.norm(points - centre, axis=1)
-    order = np.argsort(distance, kind="stable")
-    distance = distance[order]
-    accepted: list[SurfacePatch] = []
-    failure = ""
-    first = min(2 * options.min_points, len(distance)) - 1
-    radius = max(3.0 * spacing, float(distance[first]) if len(distance) else 0.0)
-    while True:
-        near = order[: int(np.searchsorted(distance, radius, side="right"))]
-        try:
-            patch = _fit(points[near], weights[near], centre, viewpoint, radius, options)
-            if not all(_agrees(patch, smaller) for smaller in accepted):
-                break
-            accepted.append(patch)
-        except TargetError as error:
-            failure = str(error)
-            if accepted:
-                break
-        if len(near) >= min(len(points), _ENOUGH):
-            break
-        radius *= 1.25
-    if not accepted:
-        raise TargetError(failure)
-    return accepted[-1]
-
-
-def _agrees(patch: SurfacePatch, smaller: SurfacePatch) -> bool:
-    """Whether a larger patch's point and normal lie within the uncertainty of a smaller one."""
-    noisier = max(1.0, patch.rms / max(smaller.rms, 1e-12))
-    sigma = noisier * np.sqrt(np.maximum(np.diag(smaller.covariance), 0.0))
-    off = np.concatenate([[(patch.point - smaller.point) @ smaller.normal], smaller.tangents @ patch.normal])
-    off[1:] -= smaller.tangents @ smaller.normal
-    return bool((np.abs(off) <= _AGREEMENT * sigma + _ROUNDING).all())
-
-
-def _fit(
-    points: Array, weights: Array, centre: Array, viewpoint: Array, radius: float, options: FitOptions
-) -> SurfacePatch:
-    if len(points) < options.min_points:
+    near = np.argsort(distance, kind="stable")[:_NEIGHBOURS]
+    if len(near) < options.min_points:
         raise TargetError(
-            f"only {len(points)} points within {1e3 * radius:.0f} mm of the object's centre, at least "
-            f"{options.min_points} are needed; move the camera so that more of the pattern is seen on the object"
+            f"only {len(near)} points on the object, at least {options.min_points} are needed; move the camera so that "
+            "more of the pattern is seen on it"
         )
-    origin, normal = _robust_plane(points, weights)
-    sight = viewpoint - origin
-    normal = normal if normal @ sight > 0 else -normal
-    t1 = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    t1 /= np.linalg.norm(t1)
-    tangents = np.stack([t1, np.cross(normal, t1)])
-    x, y = tangents @ (points - centre).T / radius
-    z = (points - centre) @ normal
-    full = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    design = full if len(points) >= 4 * _PARAMETERS else full[:, :3]
-    solution, used, sigma, inverse = _tukey(design, z, weights, z - (origin - centre) @ normal)
-    count = int(np.count_nonzero(used))
-    share = count / len(points)
-    gradient = solution[1:3] / radius
-    outward = normal - gradient @ tangents
-    outward /= np.linalg.norm(outward)
+    local, weights, radius = points[near] - centre, np.clip(weights[near], 0.05, 1.0), float(distance[near[-1]])
+    normal = _robust_plane(local[:_CORE], weights[:_CORE])
+    for _ in range(4):
+        normal = normal if normal @ (viewpoint - centre) > 0 else -normal
+        tangents = _tangents(normal)
+        fit = _fit(local, weights, normal, tangents, spacing)
+        axis, slopes = normal, fit.estimate[1:]
+        normal = axis - slopes @ tangents
+        normal /= np.linalg.norm(normal)
+        if np.hypot(*slopes) < np.tan(_TURN):
+            break
     patch = SurfacePatch(
-        centre + solution[0] * normal,
-        outward,
-        sigma**2 * (inverse[:3, :3] / np.outer((1, radius, radius), (1, radius, radius))),
-        tangents,
+        centre + fit.estimate[0] * axis,
+        normal,
+        fit.covariance,
+        _turned(tangents, normal),
         radius,
-        count,
-        sigma if count else np.inf,
+        int(np.count_nonzero(fit.inliers)),
+        fit.noise,
     )
-    _judge(patch, share, viewpoint, options)
+    _judge(patch, patch.count / len(near), viewpoint, options)
     return patch
+
+
+def _fit(local: Array, weights: Array, normal: Array, tangents: Array, spacing: float) -> HeightFit:
+    """Fit a height field along ``normal`` to points (N, 3) around the origin."""
+    places, heights = local @ tangents.T, local @ normal
+    return fit_height(places, heights, weights, _believable(places, heights, spacing), spacing)
+
+
+def _believable(places: Array, heights: Array, spacing: float) -> NDArray[np.bool_]:
+    """Tell which points (N,) are not far off a quadric of least absolute deviations."""
+    x, y = places.T / spacing
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    if len(x) < 4 * design.shape[1]:
+        design = design[:, :3]
+    near = np.exp(-(x * x + y * y) / 18.0)
+    w = near
+    for _ in range(15):
+        root = np.sqrt(w)
+        solution = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
+        residual = np.abs(heights - design @ solution)
+        w = near / np.maximum(residual, 1e-3 * spacing)
+    core = residual[:_CORE]
+    return residual <= _GROSS * max(1.4826 * float(np.median(core)), 1.4826 * float(np.median(residual)), 1e-9)
+
+
+def _tangents(normal: Array) -> Array:
+    return _turned(np.eye(3)[[np.argmin(np.abs(normal))]], normal)
+
+
+def _turned(tangents: Array, normal: Array) -> Array:
+    """Return the tangents (2, 3) turned as little as it takes to lie across ``normal``."""
+    first = tangents[0] - (tangents[0] @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])
 
 
 def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOptions) -> None:
@@ -166,10 +166,9 @@ def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOpti
             f"surface fit refused: RMS {1e3 * patch.rms:.2f} mm over {patch.count} points, "
             f"limit {1e3 * options.max_rms:.2f} mm"
         )
-    tilt_sigma = float(np.sqrt(max(np.linalg.eigvalsh(patch.covariance[1:, 1:])[-1], 0.0)))
-    if not tilt_sigma <= options.max_normal_sigma:
+    if not patch.normal_sigma <= options.max_normal_sigma:
         raise TargetError(
-            f"surface fit refused: the normal is known to {np.degrees(tilt_sigma):.1f} deg only, limit "
+            f"surface fit refused: the normal is known to {np.degrees(patch.normal_sigma):.1f} deg only, limit "
             f"{np.degrees(options.max_normal_sigma):.1f} deg ({patch.count} points)"
         )
     sight = viewpoint - patch.point
@@ -181,8 +180,8 @@ def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOpti
         )
 
 
-def _robust_plane(points: Array, weights: Array) -> tuple[Array, Array]:
-    """Return a point and the normal of the plane with the least median distance over random triples, then refined."""
+def _robust_plane(points: Array, weights: Array) -> Array:
+    """Return the normal of the plane with the least median distance over random triples, then refined."""
     rng = np.random.default_rng(len(points))
     triples = points[rng.integers(0, len(points), size=(120, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
@@ -198,34 +197,6 @@ def _robust_plane(points: Array, weights: Array) -> tuple[Array, Array]:
     best = int(np.argmin(medians))
     inliers = np.abs((points - origins[best]) @ normals[best]) <= 2.5 * 1.4826 * medians[best] + 1e-9
     w = np.maximum(weights[inliers], 1e-3)
-    origin = np.average(points[inliers], axis=0, weights=w)
-    centred = (points[inliers] - origin) * np.sqrt(w)[:, None]
-    return origin, np.linalg.svd(centred, full_matrices=False)[2][2]
-
-
-def _tukey(design: Array, z: Array, weights: Array, start: Array) -> tuple[Array, NDArray[np.bool_], float, Array]:
-    """Iteratively reweighted fit; ``start`` (N,) are residuals to begin with.
-
-    Returns the solution, the inliers (N,), the noise's standard deviation and the inverse normal matrix.
-    """
-    residual = start
-    w0 = np.clip(weights, 0.05, 1.0)
-    solution = np.zeros(design.shape[1])
-    used = np.ones(len(z), dtype=bool)
-    inverse: Array = np.eye(design.shape[1])
-    sigma = np.inf
-    for _ in range(12):
-        sigma = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
-        u = residual / (_TUKEY * sigma)
-        used = np.abs(u) < 1
-        w = np.where(used, w0 * (1 - u * u) ** 2, 0.0)
-        normal = design.T @ (w[:, None] * design)
-        inverse = np.asarray(np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
-        update = inverse @ (design.T @ (w * z))
-        done = bool(np.allclose(update, solution, rtol=1e-6, atol=1e-9))
-        solution, residual = update, z - design @ update
-        if done:
-            break
-    freedom = max(int(np.count_nonzero(used)) - design.shape[1], 1)
-    sigma = float(np.sqrt(np.sum(residual[used] ** 2) / freedom))
-    return solution, used, sigma, inverse
+    centred = (points[inliers] - np.average(points[inliers], axis=0, weights=w)) * np.sqrt(w)[:, None]
+    normal: Array = np.linalg.svd(centred, full_matrices=False)[2][2]
+    return normal
