@@ -235,10 +235,11 @@ def test_a_goal_without_usable_joint_states_moves_nothing_and_says_why(chain):
     time.sleep(0.5)  # the last joint states are now too old
     client = ActionClient(chain.peer.node, PositionArm, "positioner/position_arm")
     assert client.wait_for_server(START_UP)
-    sent = client.send_goal_async(PositionArm.Goal(standoff=0.4, duration=3.0))
+    goal = PositionArm.Goal(standoff=0.4, duration=3.0)
+    sent = chain.peer.thread.run(lambda: client.send_goal_async(goal))
     handle = wait_for(lambda: sent.done() and sent.result(), 20, "an answer to the goal")
     if handle.accepted:
-        future = handle.get_result_async()
+        future = chain.peer.thread.run(handle.get_result_async)
         result = wait_for(lambda: future.done() and future.result(), 30, "the result").result
         assert not result.success
         assert re.search(r"\d", result.message), "the message holds no number"

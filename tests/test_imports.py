@@ -79,6 +79,12 @@ def test_an_algorithm_never_imports_ros(name):
 
 
 @pytest.mark.parametrize("name", MODULES)
+def test_rclpy_stays_in_nodes_and_ros_folders(name):
+    direct = any(other.split(".")[0] == "rclpy" for other in IMPORTS[name])
+    assert not direct or {"ros", "nodes", "node", "decoder_node"} & set(name.split(".")), "imports rclpy"
+
+
+@pytest.mark.parametrize("name", MODULES)
 def test_dependencies_point_one_way(name):
     own = ORDER.index(name.split(".")[0])
     for other in IMPORTS[name]:

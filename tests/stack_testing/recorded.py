@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message
 
-from sl_bringup.bag.player import message_class
 from sl_bringup.bag.reader import BagReader
+from sl_bringup.ros.player import message_class
 
 ROOT = Path(__file__).resolve().parents[2]
 WAVY = ROOT / "bags" / "wavy"

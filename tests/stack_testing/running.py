@@ -1,7 +1,6 @@
 """Real node processes in a ROS domain of their own, and a node of the test's to talk to them."""
 
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from sl_bringup.isolation import environment, free_domain
 from sl_bringup.processes import Executable, Process, ProcessGroup
+from sl_bringup.ros.participant import Thread
 
 START_UP = 90.0
 """How long a node may take to start on a busy machine [s]."""
@@ -65,16 +64,7 @@ class Peer:
         self.node = Node(name, context=self._context)
         self.received: dict[str, list[Any]] = {}
         self._publishers: dict[str, Any] = {}
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            pass
+        self.thread = Thread(self.node)
 
     def listen(self, kind: type, topic: str, qos: QoSProfile | int = 10) -> list[Any]:
         """Subscribe; returns the list that messages are appended to."""
@@ -103,8 +93,7 @@ class Peer:
         return future.result()
 
     def close(self) -> None:
-        self._executor.shutdown(timeout_sec=2.0)
-        self._thread.join(timeout=5.0)
+        self.thread.stop()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
 

@@ -14,8 +14,8 @@ from sl_bringup.bag.writer import BackgroundWriter
 from sl_bringup.demo import acts, nodes, self_calibration
 from sl_bringup.demo.acts import Motion
 from sl_bringup.demo.report import Row, passed, table
-from sl_bringup.demo.session import Session
 from sl_bringup.errors import DemoError
+from sl_bringup.ros.session import Session
 from sl_bringup.terminal import Terminal
 from sl_common.errors import StructuredLightError
 from sl_common.files import write_text

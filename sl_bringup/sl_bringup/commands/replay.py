@@ -4,15 +4,13 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
-import rclpy
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
-
-from sl_bringup.bag.player import Player
 from sl_bringup.bag.reader import BagReader
+from sl_bringup.ros.participant import own_node, without_ros_arguments
+from sl_bringup.ros.player import Player
 from sl_bringup.terminal import Terminal
 from sl_common.errors import StructuredLightError
 
@@ -23,6 +21,10 @@ _EPILOG = """example:
 
 Messages keep their stamps; /clock shows the bag's time. To remap a topic:
 --ros-args -r /camera/image_raw:=/image"""
+
+
+_SETTLED = 1.5
+"""After this time without a new subscriber [s] all are there."""
 
 
 class _Stop:
@@ -40,7 +42,7 @@ class _Stop:
         self._asked = True
 
 
-def parse(arguments: list[str] | None = None) -> argparse.Namespace:
+def parse(words: Sequence[str]) -> argparse.Namespace:
     """Read the command line; ROS arguments are left to rclpy."""
     parser = argparse.ArgumentParser(
         prog="ros2 run sl_bringup replay",
@@ -58,61 +60,54 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         default=10.0,
         help="longest wait for a subscriber of some topic before playing [s] (default: %(default)s)",
     )
-    words = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args(remove_ros_args(["replay", *words])[1:])
+    options = parser.parse_args(without_ros_arguments(words))
     if not 0.01 <= options.rate <= 100:
         parser.error(f"--rate {options.rate:g} is not within 0.01 to 100")
     return options
 
 
-def run(options: argparse.Namespace, arguments: list[str] | None = None) -> None:
-    """Play the bag; raises StructuredLightError where it cannot be read."""
+def run(options: argparse.Namespace, words: Sequence[str]) -> None:
+    """Play the bag; ``words`` may hold ROS arguments. Raises StructuredLightError where the bag cannot be read."""
     stop, terminal = _Stop(), Terminal()
     folder = options.bag / "bag" if (options.bag / "bag" / "metadata.yaml").is_file() else options.bag
-    with BagReader(folder) as bag:
-        rclpy.init(
-            args=sys.argv if arguments is None else ["replay", *arguments],
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        node = rclpy.create_node("replay")
-        try:
-            player = Player(node, bag, rate=options.rate, clock=not options.no_clock)
-            counts = ", ".join(f"{t.name} ({t.count})" for t in bag.topics)
-            terminal.step(f"{folder}: {bag.duration:.1f} s, {counts}")
-            _await_subscribers(player, options.wait, stop, terminal)
-            while not stop():
-                for seconds in player.play(stop):
-                    terminal.live(f"{seconds:.1f} of {bag.duration:.1f} s")
-                if not options.loop:
-                    break
-            if not stop():
-                time.sleep(0.5)  # the last messages are on their way
-            terminal.step(f"{player.published} messages published")
-        finally:
-            node.destroy_node()
-            rclpy.try_shutdown()
+    with BagReader(folder) as bag, own_node("replay", words) as node:
+        player = Player(node, bag, rate=options.rate, clock=not options.no_clock)
+        counts = ", ".join(f"{t.name} ({t.count})" for t in bag.topics)
+        terminal.step(f"{folder}: {bag.duration:.1f} s, {counts}")
+        _await_subscribers(player, options.wait, stop, terminal)
+        while not stop():
+            for seconds in player.play(stop):
+                terminal.live(f"{seconds:.1f} of {bag.duration:.1f} s")
+            if not options.loop:
+                break
+        if not stop():
+            time.sleep(0.5)  # the last messages are on their way
+        terminal.step(f"{player.published} messages published")
 
 
 def _await_subscribers(player: Player, timeout: float, stop: _Stop, terminal: Terminal) -> None:
-    """Wait until somebody listens, then a moment longer for the others to be found."""
-    deadline = time.monotonic() + timeout
-    while not any(player.subscribers().values()) and not stop():
-        if time.monotonic() > deadline:
+    """Wait until somebody listens, then until nobody new has been found for a while."""
+    begin = since = time.monotonic()
+    counts = player.subscribers()
+    while not stop() and not (any(counts.values()) and time.monotonic() - since > _SETTLED):
+        if time.monotonic() - begin > timeout and not any(counts.values()):
             terminal.step(f"nobody subscribes after {timeout:.0f} s: playing all the same")
             return
         terminal.live("waiting for a subscriber")
         time.sleep(0.05)
-    time.sleep(1.0)
-    silent = [topic for topic, count in player.subscribers().items() if count == 0]
+        if (found := player.subscribers()) != counts:
+            counts, since = found, time.monotonic()
+    silent = [topic for topic, count in counts.items() if count == 0]
     if silent:
         terminal.step(f"without a subscriber: {', '.join(silent)}")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command."""
-    options = parse(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    options = parse(words)
     try:
-        run(options, arguments)
+        run(options, words)
     except StructuredLightError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from sl_bringup import nominal_calibration
-from sl_bringup.demo.observer import DECODER
-from sl_bringup.demo.session import Session
 from sl_bringup.errors import DemoError
+from sl_bringup.ros.observer import DECODER
+from sl_bringup.ros.session import Session
 from sl_bringup.terminal import Terminal
 from sl_common.ros.stamps import to_ns
 from sl_msgs.action import PositionArm
@@ -124,13 +124,13 @@ def _order(session: Session, terminal: Terminal, goal: PositionArm.Goal) -> Posi
             f"condition {f.condition_number:.0f}; {f.time_remaining:.1f} s"
         )
 
-    sent = observer.position_arm.send_goal_async(goal, feedback_callback=feedback)
+    sent = session.thread.run(lambda: observer.position_arm.send_goal_async(goal, feedback_callback=feedback))
     session.wait_for(sent.done, 10.0, "an answer of the positioner to the goal")
     handle = sent.result()
     if not handle.accepted:
         reason = observer.record.statuses[-1][2] if observer.record.statuses else "no reason given"
         raise DemoError(f"the positioner refused the goal: {reason}")
-    outcome = handle.get_result_async()
+    outcome = session.thread.run(handle.get_result_async)
     session.wait_for(outcome.done, 60.0 + 3 * goal.duration, "the end of the motion", live)
     return outcome.result().result
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_bringup.demo.observer import Cloud, Record
+from sl_bringup.demo.record import Cloud, Record
 from sl_common import transforms
 from sl_common.ros.stamps import to_ns
 from sl_msgs.msg import Correspondences

@@ -6,7 +6,7 @@ import numpy as np
 
 from sl_bringup.demo.acts import Motion
 from sl_bringup.demo.evaluation import dot_errors, point_errors, pose_errors
-from sl_bringup.demo.observer import Record, pose_from_message
+from sl_bringup.demo.record import Record, pose_from_message
 from sl_bringup.demo.report import MAX_ORIENTATION_ERROR, MAX_POSITION_ERROR, Row
 from sl_bringup.demo.truth import Truth
 from sl_msgs.msg import Pattern

@@ -6,7 +6,7 @@ import numpy as np
 
 from sl_bringup.demo import pictures
 from sl_bringup.demo.acts import Motion
-from sl_bringup.demo.observer import DECODER, Observer
+from sl_bringup.ros.observer import DECODER, Observer
 from sl_common.ros import clouds
 from sl_sim.cell import Cell
 

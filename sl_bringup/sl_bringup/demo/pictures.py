@@ -13,7 +13,7 @@ from matplotlib import pyplot as plt
 from sensor_msgs.msg import Image
 
 from sl_bringup.demo.acts import Motion
-from sl_bringup.demo.observer import Cloud, Record, pose_from_message
+from sl_bringup.demo.record import Cloud, Record, pose_from_message
 from sl_common import transforms
 from sl_common.files import atomic_path
 from sl_common.kinematics import Kinematics

@@ -9,9 +9,9 @@ import numpy as np
 from std_srvs.srv import Trigger
 
 from sl_bringup.demo.report import Row
-from sl_bringup.demo.session import Session
 from sl_bringup.demo.truth import Truth
 from sl_bringup.errors import DemoError
+from sl_bringup.ros.session import Session
 from sl_bringup.terminal import Terminal
 from sl_common import transforms
 from sl_common.calibration_files import load_calibration

@@ -17,8 +17,8 @@ from sl_common.ros.stamps import from_ns
 
 _CLOCK_PERIOD = 0.01
 """Longest time between two messages on /clock [s]."""
-_STREAM = QoSProfile(depth=50)
-"""Reliable, and deep enough that no joint state is replaced before it was sent."""
+_STREAM = QoSProfile(depth=250)
+"""Reliable, and deep enough (two seconds of joint states) that none is replaced before a slow listener has it."""
 
 
 class Player:

@@ -1,7 +1,6 @@
 """The running system: all nodes as processes of their own, the observer in this one."""
 
 import os
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -9,22 +8,27 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-
 from sl_bringup.bag.writer import BackgroundWriter
-from sl_bringup.demo.observer import Observer
 from sl_bringup.errors import DemoError
 from sl_bringup.isolation import environment, free_domain
 from sl_bringup.processes import Executable, ProcessGroup
+from sl_bringup.ros.observer import Observer
+from sl_bringup.ros.participant import Thread, participating, served
 from sl_bringup.terminal import Terminal
 
 
 class Session:
-    """Starts processes and observer; ends them, in whatever way the ``with`` block is left."""
+    """Starts processes and observer; ends them, in whatever way the ``with`` block is left.
+
+    Attributes:
+        observer: The node that hears everything.
+        thread: Where its callbacks run.
+        processes: The nodes.
+        domain: ROS domain of all of them.
+    """
 
     observer: Observer
+    thread: Thread
     processes: ProcessGroup
     domain: int
 
@@ -52,20 +56,9 @@ class Session:
         """Start the processes, then the observer: after it this process has threads and forks no more."""
         for executable in executables:
             self.processes.start(executable)
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._stack.callback(rclpy.try_shutdown)
+        self._stack.enter_context(participating())
         self.observer = Observer(self._bag)
-        executor = SingleThreadedExecutor()
-        executor.add_node(self.observer)
-        thread = threading.Thread(target=_spin, args=(executor,), name="observer", daemon=True)
-        thread.start()
-
-        def stop() -> None:
-            executor.shutdown(timeout_sec=2.0)
-            thread.join(timeout=2.0)
-            self.observer.destroy_node()
-
-        self._stack.callback(stop)
+        self.thread = self._stack.enter_context(served(self.observer))
 
     def wait_for(
         self, condition: Callable[[], Any], timeout: float, what: str, live: Callable[[], str] | None = None
@@ -98,10 +91,3 @@ class Session:
             if live is not None:
                 self._terminal.live(live())
             time.sleep(0.05)
-
-
-def _spin(executor: SingleThreadedExecutor) -> None:
-    try:
-        executor.spin()
-    except ExternalShutdownException:
-        pass
