@@ -10,7 +10,7 @@ import time
 import pytest
 from stack_testing.running import wait_for
 
-pytestmark = pytest.mark.xdist_group("processes")
+pytestmark = pytest.mark.processes
 
 
 def demo(output, *arguments):

@@ -4,6 +4,7 @@ import pytest
 from node_reference import NODES, README, describe_node, section
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("node", NODES)
 def test_reference_of_a_node_is_up_to_date(node, tmp_path):
     documented = section(README.read_text(), node)

@@ -45,7 +45,7 @@ def test_the_contracts_nodes_are_all_there():
     assert not missing
 
 
-@pytest.mark.xdist_group("processes")
+@pytest.mark.processes
 @pytest.mark.parametrize("node", packages.NODES)
 @pytest.mark.parametrize("number", [signal.SIGINT])
 def test_a_node_says_what_it_waits_for_and_ends_with_0(node, number, tmp_path):
@@ -127,7 +127,7 @@ def test_the_stand_in_for_ros2_says_that_it_knows_run_only():
     assert "ros2 run" in done.stderr
 
 
-@pytest.mark.xdist_group("processes")
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("node", "parameter"), [("decoder", "min_confidence:=3.0"), ("positioner", "rate:=fast"), ("cell", "scene:=moon")]
 )

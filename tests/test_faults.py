@@ -15,7 +15,7 @@ from sl_common.ros.qos import LATCHED, STREAM_PUBLISH
 from sl_common.ros.stamps import from_ns, to_ns
 from sl_msgs.msg import Correspondences, PositionerStatus
 
-pytestmark = pytest.mark.xdist_group("processes")
+pytestmark = pytest.mark.processes
 
 QUIET = 1.0
 """How long nothing may come out after bad input [s]."""

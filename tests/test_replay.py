@@ -18,7 +18,7 @@ from sl_common.ros.qos import STREAM_PUBLISH
 from sl_common.ros.stamps import to_ns
 from sl_msgs.msg import Correspondences
 
-pytestmark = pytest.mark.xdist_group("processes")
+pytestmark = pytest.mark.processes
 
 
 def test_the_bag_through_decoder_and_triangulator_matches_its_truth(stack):

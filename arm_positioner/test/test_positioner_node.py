@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from sl_common import transforms
 from sl_msgs.msg import PositionerStatus as S
 
-pytestmark = pytest.mark.xdist_group("positioner_node")
+pytestmark = pytest.mark.processes
 DOMAIN = own_domain(40)
 
 

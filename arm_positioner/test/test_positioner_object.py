@@ -17,7 +17,7 @@ from sl_common import transforms
 from sl_common.calibration_files import HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration, save_pose
 from sl_msgs.msg import PositionerStatus as S
 
-pytestmark = pytest.mark.xdist_group("positioner_node")
+pytestmark = pytest.mark.processes
 DOMAIN = own_domain(44)
 FLANGE_FROM_CAMERA = transforms.make(transforms.rotation_exp((0.05, -0.1, 0.3)), (0.02, -0.05, 0.04))
 

@@ -112,7 +112,7 @@ def test_inconsistent_messages_are_refused(change):
         pattern_from_message(message)
 
 
-@pytest.mark.xdist_group("pattern_publisher")
+@pytest.mark.processes
 def test_node_shows_switches_and_stops(client):
     process = start("-p", "spot_resize_period:=5.0")
     try:
@@ -156,7 +156,7 @@ def test_node_shows_switches_and_stops(client):
     assert code == 0, error
 
 
-@pytest.mark.xdist_group("pattern_publisher")
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
@@ -176,7 +176,7 @@ def test_bad_parameters_end_with_one_line(parameters, words):
     assert "Traceback" not in error
 
 
-@pytest.mark.xdist_group("pattern_publisher")
+@pytest.mark.processes
 def test_calibrated_colours_and_projector_are_used(client, tmp_path):
     letters = "\n".join(f"- rgb: [{200 + i}, {10 * i}, 0]" for i in range(6))
     (tmp_path / "colours.yaml").write_text(f"letters:\n{letters}\n")

@@ -30,6 +30,7 @@ from sl_msgs.action import PositionArm  # noqa: E402
 from sl_msgs.msg import CalibrationProgress, Correspondences, Pattern  # noqa: E402
 from sl_msgs.srv import ComputeCalibration, ListSamples, LoadCalibration, RemoveSample, SaveCalibration, TakeSample  # noqa: E402
 
+pytestmark = pytest.mark.processes
 DOMAIN = 37
 JOINTS = tuple(f"joint{i}" for i in range(6))
 CAMERA = CameraModel(640, 480, np.array([[760.0, 0, 322.0], [0, 760, 238.0], [0, 0, 1]]))

@@ -23,6 +23,7 @@ from sl_common.ros.qos import STREAM_PUBLISH, STREAM_SUBSCRIBE  # noqa: E402
 from sl_common.ros.stamps import from_ns  # noqa: E402
 from sl_msgs.msg import Correspondences  # noqa: E402
 
+pytestmark = pytest.mark.processes
 DOMAIN = 36
 
 JOINTS = ("shoulder", "elbow", "wrist")

@@ -26,7 +26,7 @@ from sl_msgs.msg import Correspondences  # noqa: E402
 from sl_msgs.msg import Pattern as PatternMessage  # noqa: E402
 
 DOMAIN = 27
-pytestmark = pytest.mark.xdist_group("decoder_node")
+pytestmark = pytest.mark.processes
 
 
 class Bench:

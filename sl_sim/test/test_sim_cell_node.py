@@ -32,7 +32,7 @@ NAMES = arm.kinematics().joint_names
 ORDER = list(reversed(NAMES))
 ARGUMENTS = ["-p", "scene:=plane", "-p", "camera_width:=320", "-p", "camera_height:=240", "-p", "focal_length:=410",
              "-p", f"joints:=[{','.join(ORDER)}]", "-p", "object_sway:=[0.0, 0.02, 0.0]"]  # fmt: skip
-pytestmark = pytest.mark.xdist_group("sl_sim_node")
+pytestmark = pytest.mark.processes
 
 
 def environment():
