@@ -1,6 +1,7 @@
 """Camera calibration from views of a chessboard, the distortion model chosen by the error on views left out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -143,6 +144,18 @@ def calibrate_camera(
         {name: (rms(fits[name][1].residuals), scores[name]) for name in names},
         int(np.isfinite(corners).all(-1).sum() - np.isfinite(kept).all(-1).sum()),
     )
+
+
+@contextmanager
+def name_odd_view(names: Sequence[str]) -> Iterator[None]:
+    """Turn an OddViewError into an InvalidInputError that calls the view by its name."""
+    try:
+        yield
+    except OddViewError as error:
+        raise InvalidInputError(
+            f"{names[error.view]} does not fit the others: {error.reason}. Another camera, board or zoom, camera or"
+            " projector moved, or images of two captures mixed? Leave it out"
+        ) from None
 
 
 def fit_camera(

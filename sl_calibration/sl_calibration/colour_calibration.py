@@ -3,12 +3,12 @@ colours.yaml."""
 
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pattern_gen import Pattern
+from pattern_gen.pattern import Letter
 from sl_calibration.colour_charts import ChartSamples
 from sl_calibration.colour_letters import LetterOptions, choose_letters, least_distance
 from sl_calibration.colour_response import CHANNELS, ColourModel, fit_response
@@ -41,9 +41,18 @@ class ColourCalibration:
     samples: int
 
 
+class HasLetters(Protocol):
+    """A pattern, of which the letters count."""
+
+    @property
+    def letters(self) -> tuple[Letter, ...]:
+        """Drive values and shapes."""
+        ...
+
+
 def calibrate_colours(
     samples: ChartSamples,
-    pattern: Pattern,
+    pattern: HasLetters,
     options: LetterOptions | None = None,
     *,
     adapt_to_scene: bool = False,

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_calibration.chessboard import Board
-from sl_calibration.gray_code import CaptureError, GrayMap
+from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners
+from sl_calibration.gray_code import Capture, CaptureError, GrayMap, check_order, decode
 
 Array = NDArray[np.float64]
 
@@ -32,6 +32,24 @@ class MappingOptions:
     min_share: float = 0.15
     max_pixels: int = 4000
     min_contrast: float = 0.3
+
+
+def board_in_capture(capture: Capture, board: Board) -> tuple[Array, Array]:
+    """Find a board in a capture and carry its corners over to the projector.
+
+    Returns:
+        Corners (N, 2) in the camera and (N, 2) in the projector [px], NaN where too little is decoded.
+
+    Raises:
+        BoardNotFoundError: no such board. CaptureError: images out of order, or too little of the board decoded.
+    """
+    try:
+        corners = detect_corners(capture.mean, board)
+    except BoardNotFoundError:
+        top = max(float(np.percentile(capture.white, 99.5)), 1.0)
+        corners = detect_corners(np.clip(capture.white * (250 / top), 0, 255).astype(np.uint8), board)
+    check_order(capture, corners)
+    return corners, projector_corners(corners, decode(capture), board)
 
 
 def projector_corners(corners: Array, gray_map: GrayMap, board: Board, options: MappingOptions | None = None) -> Array:

@@ -1,7 +1,7 @@
 """Calibration sessions: samples kept in a folder, one file each, so that they survive a restart.
 
-Layout: session.yaml (procedure, pattern, frames), camera.yaml, pattern.npz, and samples/NNNNNN.npz. Every file is
-written whole or not at all; a sample that cannot be read is reported and left alone.
+Layout: session.yaml (procedure, pattern), camera.yaml, pattern.npz, and samples/NNNNNN.npz. Every file is written whole
+or not at all; a sample that cannot be read is reported and left alone.
 """
 
 import os
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_calibration.self_calibration.views import View
+from pattern_gen.pattern import Letter
 from sl_common.calibration_files import CAMERA_FILE, load_camera, save_camera
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError, StructuredLightError
@@ -34,20 +34,29 @@ class SessionPattern:
         centers: (rows, cols, 2) spot centres [projector px].
         size: Width and height of the projector image [px].
         spot_diameter: [projector px].
+        letters: Drive values and shapes.
     """
 
     pattern_id: str
     centers: Array
     size: tuple[int, int]
     spot_diameter: float
+    letters: tuple[Letter, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One view and the joint positions at its stamp."""
+    """One sample: what a procedure measured at one moment.
 
-    view: View
-    joints: Array
+    Attributes:
+        name: Used in messages.
+        stamp: Of the image [ns].
+        arrays: The measurement; names and shapes are the procedure's.
+    """
+
+    name: str
+    stamp: int
+    arrays: dict[str, NDArray[Any]]
 
 
 class Session:
@@ -55,7 +64,7 @@ class Session:
 
     Attributes:
         folder: Where the session is kept.
-        procedure: Of the session: self.
+        procedure: Of the session: self, camera, procam, hand_eye or colours.
         notes: Files that could not be read.
     """
 
@@ -94,11 +103,6 @@ class Session:
         return [sample for _, sample in self._samples]
 
     @property
-    def views(self) -> list[View]:
-        """The views of the samples, oldest first."""
-        return [sample.view for _, sample in self._samples]
-
-    @property
     def camera(self) -> CameraModel | None:
         """The camera model that the samples were taken with."""
         return self._camera
@@ -135,19 +139,9 @@ class Session:
     def add(self, sample: Sample) -> int:
         """Keep a sample; returns its index."""
         number = 1 + max((int(path.stem) for path, _ in self._samples), default=-1)
-        view = sample.view
         path = self.folder / _SAMPLES / f"{number:06d}.npz"
         with atomic_path(path) as temporary:
-            np.savez(
-                temporary,
-                name=view.name,
-                stamp=view.stamp,
-                row=view.row,
-                col=view.col,
-                pixels=view.pixels,
-                base_from_flange=view.base_from_flange,
-                joints=sample.joints,
-            )
+            np.savez(temporary, name=sample.name, stamp=sample.stamp, **sample.arrays)  # type: ignore[arg-type]
         self._samples.append((path, sample))
         return len(self._samples) - 1
 
@@ -158,7 +152,7 @@ class Session:
             raise InvalidInputError(f"no sample {index}: the session has {count}, numbered from 0")
         path, sample = self._samples.pop(index)
         path.unlink(missing_ok=True)
-        return sample.view.name
+        return sample.name
 
     def _write(self) -> None:
         data: dict[str, Any] = {"procedure": self.procedure}
@@ -167,6 +161,7 @@ class Session:
                 "pattern_id": self._pattern.pattern_id,
                 "projector": {"width": self._pattern.size[0], "height": self._pattern.size[1]},
                 "spot_diameter": self._pattern.spot_diameter,
+                "letters": [{"rgb": list(x.rgb), "shape": x.shape} for x in self._pattern.letters],
             }
         write_yaml(self.folder / SESSION_FILE, data)
 
@@ -185,8 +180,11 @@ class Session:
                 with np.load(self.folder / _PATTERN_FILE) as file:
                     centers = file["centers"]
                 size = (int(entry["projector"]["width"]), int(entry["projector"]["height"]))
-                self._pattern = SessionPattern(str(entry["pattern_id"]), centers, size, float(entry["spot_diameter"]))
-            except (KeyError, TypeError, ValueError, OSError) as error:
+                letters = tuple(Letter(tuple(x["rgb"]), str(x["shape"])) for x in entry.get("letters", ()))
+                self._pattern = SessionPattern(
+                    str(entry["pattern_id"]), centers, size, float(entry["spot_diameter"]), letters
+                )
+            except (KeyError, TypeError, ValueError, OSError, StructuredLightError) as error:
                 raise InvalidInputError(f"{self.folder}: the session's pattern cannot be read: {error}") from None
         for path in sorted((self.folder / _SAMPLES).glob("[0-9]*.npz")):
             try:
@@ -197,7 +195,5 @@ class Session:
 
 def _load_sample(path: Path) -> Sample:
     with np.load(path) as file:
-        view = View(
-            str(file["name"]), file["row"], file["col"], file["pixels"], file["base_from_flange"], int(file["stamp"])
-        )
-        return Sample(view, file["joints"])
+        arrays = {key: file[key] for key in file.files if key not in ("name", "stamp")}
+        return Sample(str(file["name"]), int(file["stamp"]), arrays)

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from sl_calibration.board_bundle import OddViewError
 from sl_calibration.camera_calibration import (
     CameraCalibration,
     CameraOptions,
     calibrate_camera,
+    name_odd_view,
     rms,
     root_mean_square,
 )
 from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
 from sl_calibration.commands.shared import progress, read_image, run
+from sl_calibration.grid_files import save_camera_calibration
 from sl_calibration.intrinsics import MODELS
-from sl_common.calibration_files import provenance, save_camera
 from sl_common.errors import InvalidInputError
 
 EXAMPLE = """example:
@@ -56,18 +56,12 @@ def _run(args: argparse.Namespace) -> None:
     names, corners, (width, height), missing = find_boards(args.images, board)
     for name, reason in missing:
         print(f"{name}: {reason}; skipped", file=sys.stderr)
-    try:
+    with name_odd_view(names):
         result = calibrate_camera(
             np.array(corners).reshape(len(corners), -1, 2), board, width, height, CameraOptions(args.model)
         )
-    except OddViewError as error:
-        raise InvalidInputError(
-            f"{names[error.view]} does not fit the other images: {error.reason}. Another camera, board or zoom?"
-            f" Leave it out"
-        ) from None
     print(summary(result, names, args.model))
-    save_camera(args.output, result.camera, name=args.name, extra=entries(result))
-    print(f"wrote {args.output}")
+    print(f"wrote {save_camera_calibration(args.output, result, name=args.name)}")
 
 
 def find_boards(
@@ -138,18 +132,6 @@ def parameter_line(parameters: dict[str, dict[str, float]]) -> str:
         value, limit = entry["value"], 1.96 * entry["sigma"]
         parts.append(f"{name} {value:.2f} +- {limit:.2f}" if name[0] in "fc" else f"{name} {value:.4f} +- {limit:.4f}")
     return ", ".join(parts) + " (95 %; px)"
-
-
-def entries(result: CameraCalibration) -> dict[str, object]:
-    """Return what the file carries beside the intrinsics: date, units, residuals, samples, uncertainty."""
-    residuals = {
-        "training_rms_px": rms(result.residuals),
-        "left_out_rms_px": root_mean_square(result.left_out),
-    }
-    return provenance(samples=len(result.residuals), residuals=residuals) | {
-        "model": result.parametrisation.model,
-        "uncertainty_one_sigma": {name: entry["sigma"] for name, entry in result.parameters.items()},
-    }
 
 
 if __name__ == "__main__":

@@ -8,29 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from pattern_gen.gray_code import Arrangement
-from sl_calibration.board_bundle import OddViewError
-from sl_calibration.camera_calibration import rms, root_mean_square
-from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
+from sl_calibration.camera_calibration import name_odd_view, rms
+from sl_calibration.chessboard import Board, BoardNotFoundError, parse_size
 from sl_calibration.commands.calibrate_camera import parameter_line
 from sl_calibration.commands.shared import images_in, progress, read_image, run
-from sl_calibration.gray_code import Capture, CaptureError, check_order, decode, make_capture
+from sl_calibration.gray_code import Capture, CaptureError, make_capture
+from sl_calibration.grid_files import save_procam_calibration
 from sl_calibration.intrinsics import MODELS
 from sl_calibration.projector_calibration import ProcamCalibration, ProcamOptions, calibrate_procam
-from sl_calibration.projector_corners import projector_corners
+from sl_calibration.projector_corners import board_in_capture
 from sl_calibration.virtual_screen import virtual_screen
-from sl_common.calibration_files import (
-    CAMERA_FILE,
-    PROJECTOR_FILE,
-    PoseCalibration,
-    provenance,
-    save_camera,
-    save_pose,
-)
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
-
-PAIR_FILE = "camera_from_projector.yaml"
-PAIR_KEY = "camera_from_projector"
 
 EXAMPLE = """example:
   ros2 run sl_calibration calibrate_procam --board 9x7 --square 0.075 --projector 1024x768 --output calibration
@@ -99,15 +88,10 @@ def _run(args: argparse.Namespace) -> None:
     assert size is not None
     options = ProcamOptions(camera_model=args.camera_model, projector_model=args.projector_model, start=start)
     names = [folder.name for folder in args.captures]
-    try:
+    with name_odd_view(names):
         result = calibrate_procam(np.array(in_camera), np.array(in_projector), board, size, projector, options)
-    except OddViewError as error:
-        raise InvalidInputError(
-            f"{names[error.view]} does not fit the other captures: {error.reason}. Were camera or projector moved, or"
-            " images of two captures mixed? Leave it out"
-        ) from None
     print(summary(result, names))
-    for path in save(result, args.output):
+    for path in save_procam_calibration(args.output, result):
         print(f"wrote {path}")
 
 
@@ -123,22 +107,12 @@ def load_capture(folder: Path, projector: tuple[int, int], arrangement: Arrangem
 def correspond(capture: Capture, folder: Path, board: Board) -> tuple[np.ndarray, np.ndarray]:
     """Return the board's corners (N, 2) in the camera and (N, 2) in the projector. Errors name the folder."""
     try:
-        corners = _corners(capture, board)
-        check_order(capture, corners)
-        return corners, projector_corners(corners, decode(capture), board)
+        return board_in_capture(capture, board)
     except BoardNotFoundError as error:
         hint = f": wrong board size? Give --board {error.found[0]}x{error.found[1]}" if error.found else ""
         raise InvalidInputError(f"{folder}: {error}{hint}") from None
     except CaptureError as error:
         raise CaptureError(f"{folder}: {error}") from None
-
-
-def _corners(capture: Capture, board: Board) -> np.ndarray:
-    try:
-        return detect_corners(capture.mean, board)
-    except BoardNotFoundError:
-        top = max(float(np.percentile(capture.white, 99.5)), 1.0)
-        return detect_corners(np.clip(capture.white * (250 / top), 0, 255).astype(np.uint8), board)
 
 
 def summary(result: ProcamCalibration, names: Sequence[str]) -> str:
@@ -174,40 +148,6 @@ def summary(result: ProcamCalibration, names: Sequence[str]) -> str:
         f" {screen.growth_y:.2f}",
     ]
     return "\n".join(lines)
-
-
-def save(result: ProcamCalibration, folder: Path) -> list[Path]:
-    """Write camera.yaml, projector.yaml and camera_from_projector.yaml; return their paths."""
-    samples = len(result.camera_residuals)
-    rigid = {"rigid_fit_rms_mm": root_mean_square(result.rigid_fit)}
-    for file, model, name, residuals, left_out, parameters in (
-        (
-            CAMERA_FILE,
-            result.camera,
-            "camera",
-            result.camera_residuals,
-            result.left_out_camera,
-            result.camera_parameters,
-        ),
-        (
-            PROJECTOR_FILE,
-            result.projector,
-            "projector",
-            result.projector_residuals,
-            result.left_out_projector,
-            result.projector_parameters,
-        ),
-    ):
-        errors = {"training_rms_px": rms(residuals), "left_out_rms_px": root_mean_square(left_out)} | rigid
-        extra = provenance(samples=samples, residuals=errors) | {
-            "uncertainty_one_sigma": {key: entry["sigma"] for key, entry in parameters.items()}
-        }
-        save_camera(folder / file, model, name=name, extra=extra)
-    pose = PoseCalibration(
-        result.camera_from_projector, result.pose_covariance, provenance(samples=samples, residuals=rigid)
-    )
-    save_pose(folder / PAIR_FILE, PAIR_KEY, pose)
-    return [folder / name for name in (CAMERA_FILE, PROJECTOR_FILE, PAIR_FILE)]
 
 
 if __name__ == "__main__":

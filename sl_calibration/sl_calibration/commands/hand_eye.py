@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from sl_calibration.commands.shared import run
+from sl_calibration.grid_files import save_hand_eye_calibration
 from sl_calibration.hand_eye import HandEye, HandEyeOptions, calibrate_hand_eye
 from sl_calibration.pose_stream import load_poses
-from sl_common.calibration_files import HAND_EYE_KEY, PoseCalibration, provenance, save_pose
 from sl_common.transforms import to_quaternion
 
 EXAMPLE = """example:
@@ -55,8 +55,7 @@ def _run(args: argparse.Namespace) -> None:
     options = HandEyeOptions(max_offset=args.max_offset, reject_outliers=args.reject_outliers)
     result = calibrate_hand_eye(load_poses(args.hand), load_poses(args.eye), options, eye_inverted=inverted)
     print(summary(result))
-    save_pose(args.output, HAND_EYE_KEY, calibration(result))
-    print(f"wrote {args.output}")
+    print(f"wrote {save_hand_eye_calibration(args.output, result)}")
 
 
 def _statistics(position: np.ndarray, rotation: np.ndarray) -> str:
@@ -100,20 +99,6 @@ def summary(result: HandEye) -> str:
         + " deg (95 %)",
     ]
     return "\n".join(lines)
-
-
-def calibration(result: HandEye) -> PoseCalibration:
-    """Return what hand_eye.yaml holds."""
-    residuals = {
-        "training_mean_mm": float(1e3 * result.position_error.mean()),
-        "training_mean_deg": float(np.degrees(result.rotation_error.mean())),
-        "left_out_mean_mm": float(1e3 * result.left_out_position.mean()),
-        "left_out_mean_deg": float(np.degrees(result.left_out_rotation.mean())),
-        "left_out_rms_mm": 1e3 * _rms(result.left_out_position),
-        "left_out_rms_deg": float(np.degrees(_rms(result.left_out_rotation))),
-    }
-    extra = provenance(samples=len(result.rows), residuals=residuals) | {"time_offset_s": result.time_offset}
-    return PoseCalibration(result.flange_from_camera, result.covariance, extra)
 
 
 if __name__ == "__main__":

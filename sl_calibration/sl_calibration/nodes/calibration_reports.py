@@ -1,16 +1,38 @@
 """Results of the calibrator as messages."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from geometry_msgs.msg import Pose, Quaternion
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from sl_calibration.motion_plan import SAMPLES_NEEDED, Coverage
+from sl_calibration.grid_files import PAIR_FILE, PAIR_KEY
+from sl_calibration.motion_plan import Coverage
 from sl_calibration.nodes.guided_motion import pose_message
-from sl_calibration.self_calibration.result import SelfCalibration
+from sl_calibration.procedures.procedure import Outcome, Procedure
 from sl_calibration.sessions import Session
+from sl_common.calibration_files import (
+    CAMERA_FILE,
+    HAND_EYE_FILE,
+    HAND_EYE_KEY,
+    PROJECTOR_FILE,
+    PROJECTOR_POSE_FILE,
+    PROJECTOR_POSE_KEY,
+    load_camera,
+    load_pose,
+)
+from sl_common.files import read_yaml
+from sl_common.ros.stamps import from_ns
 from sl_msgs.msg import CalibrationProgress
-from sl_msgs.srv import ComputeCalibration
+from sl_msgs.srv import ComputeCalibration, ListSamples
+
+POSE_KEYS = {
+    HAND_EYE_FILE: HAND_EYE_KEY,
+    PROJECTOR_POSE_FILE: PROJECTOR_POSE_KEY,
+    PAIR_FILE: PAIR_KEY,
+}
 
 
 def suggestion(pose: NDArray[np.float64] | None) -> Pose:
@@ -20,54 +42,68 @@ def suggestion(pose: NDArray[np.float64] | None) -> Pose:
     return pose_message(pose)
 
 
-def residuals(result: SelfCalibration | None) -> dict[str, float]:
-    """Return the RMS reprojection error [px] of each view used, by name."""
-    if result is None:
-        return {}
-    return dict(zip(result.names, result.view_rms.tolist(), strict=True))
-
-
-def describe(result: SelfCalibration) -> str:
-    """Return a result in one sentence."""
-    hand_eye = np.sqrt(np.diag(result.hand_eye_covariance))
-    projector = np.sqrt(np.diag(result.projector_pose_covariance))
-    text = (
-        f"{len(result.names)} views, {result.rms:.3f} px training and {result.left_out.pixels:.3f} px left-out error;"
-        f" hand-eye to {1e3 * np.linalg.norm(hand_eye[:3]):.2f} mm and"
-        f" {np.degrees(np.linalg.norm(hand_eye[3:])):.3f} deg,"
-        f" projector to {1e3 * np.linalg.norm(projector[:3]):.2f} mm and"
-        f" {np.degrees(np.linalg.norm(projector[3:])):.3f} deg (one sigma)"
-    )
-    return "; ".join([text, *result.warnings])
-
-
-def fill(response: ComputeCalibration.Response, result: SelfCalibration, session: Session) -> None:
+def fill(response: ComputeCalibration.Response, outcome: Outcome, session: Session) -> None:
     """Fill the answer of ~/compute."""
-    names = [view.name for view in session.views]
-    response.success, response.message = True, describe(result)
-    response.samples = len(result.names)
-    response.rms = result.rms
-    response.rms_left_out = result.left_out.pixels
-    response.worst_sample = names.index(result.names[result.worst_view])
-    response.worst_rms = float(result.view_rms[result.worst_view])
-    response.hand_eye_sigma = np.sqrt(np.diag(result.hand_eye_covariance)).astype(np.float32)
-    response.projector_sigma = np.sqrt(np.diag(result.projector_pose_covariance)).astype(np.float32)
+    response.success, response.message = True, outcome.message
+    response.samples = len(outcome.residuals)
+    response.rms, response.rms_left_out = outcome.rms, outcome.rms_left_out
+    known = {name: value for name, value in outcome.residuals.items() if np.isfinite(value)}
+    if known:
+        worst = max(known, key=lambda name: known[name])
+        response.worst_sample = [sample.name for sample in session.samples].index(worst)
+        response.worst_rms = float(known[worst])
+    response.hand_eye_sigma = outcome.hand_eye_sigma.astype(np.float32)
+    response.projector_sigma = outcome.projector_sigma.astype(np.float32)
+
+
+def list_samples(
+    response: ListSamples.Response, session: Session, procedure: Procedure, outcome: Outcome | None
+) -> ListSamples.Response:
+    """Fill the answer of ~/list_samples."""
+    residuals = outcome.residuals if outcome is not None else {}
+    response.session = str(session.folder)
+    response.index = list(range(len(session)))
+    response.stamp = [from_ns(sample.stamp) for sample in session.samples]
+    response.points = [procedure.points(sample) for sample in session.samples]
+    response.residual = [residuals.get(sample.name, float("nan")) for sample in session.samples]
+    return response
+
+
+def describe_files(folder: Path, names: Sequence[str]) -> str:
+    """Read the calibration files of a folder and say what they are; raises CalibrationFileError for one that is not
+    usable."""
+    for name in names:
+        read = {CAMERA_FILE: load_camera, PROJECTOR_FILE: load_camera}.get(name)
+        if read is not None:
+            read(folder / name)
+        elif name in POSE_KEYS:
+            load_pose(folder / name, POSE_KEYS[name])
+    extra = read_yaml(folder / names[-1])
+    return (
+        f"calibration of {extra.get('date', 'unknown date')} from {extra.get('samples', '?')} samples,"
+        f" residuals {extra.get('residuals', 'unknown')}"
+    )
 
 
 def progress(
-    header: Header, session: Session, covered: Coverage, result: SelfCalibration | None, suggested: Pose
+    header: Header,
+    session: Session,
+    procedure: Procedure,
+    covered: Coverage,
+    outcome: Outcome | None,
+    suggested: Pose,
 ) -> CalibrationProgress:
     """Return the message of ~/progress."""
     return CalibrationProgress(
         header=header,
-        procedure=session.procedure,
+        procedure=procedure.name,
         session=str(session.folder),
         samples=len(session),
-        samples_needed=SAMPLES_NEEDED,
+        samples_needed=procedure.samples_needed,
         coverage_image=covered.image,
         coverage_rotation=covered.rotation,
         coverage_depth=covered.depth,
-        computed=result is not None,
-        message=covered.message if result is None else describe(result),
+        computed=outcome is not None,
+        message=covered.message if outcome is None else outcome.message,
         suggested=suggested,
     )

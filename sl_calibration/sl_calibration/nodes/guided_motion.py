@@ -1,4 +1,4 @@
-"""Driving the arm through a self-calibration by the positioner's action, which keeps all limits."""
+"""Driving the arm through a calibration by the positioner's action, which keeps all limits."""
 
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -8,11 +8,11 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from numpy.typing import NDArray
 from rclpy.action import ActionClient
 from rclpy.node import Node
-from rclpy.task import Future
 from std_msgs.msg import Header
 
 from sl_calibration.motion_plan import Estimate, MotionPlanOptions, first_motions, orbit
-from sl_calibration.self_calibration.views import View
+from sl_calibration.nodes.awaiting import sleep
+from sl_calibration.sessions import Sample
 from sl_common import transforms
 from sl_common.calibration_files import HAND_EYE_FILE, load_hand_eye
 from sl_common.errors import InvalidInputError, StructuredLightError
@@ -20,7 +20,7 @@ from sl_msgs.action import PositionArm
 
 Array = NDArray[np.float64]
 
-TakeSample = Callable[[], Awaitable[View]]
+TakeSample = Callable[[], Awaitable[Sample]]
 GetEstimate = Callable[[], Estimate | None]
 
 
@@ -44,19 +44,22 @@ class GuidedMotion:
         options: MotionPlanOptions,
         duration: float,
         settle: float,
+        points: Callable[[Sample], int],
+        least_points: int,
     ) -> None:
-        """``duration`` [s] of each motion, longer where the positioner's limits ask; ``settle`` [s] at rest."""
+        """``duration`` [s] of each motion, longer where the positioner's limits ask; ``settle`` [s] at rest; ``points``
+        of a sample, of which ``least_points`` are wanted for the motions to go on at full size."""
         self._node, self._base_frame, self._folder = node, base_frame, calibration_folder
         self._options, self._duration, self._settle = options, duration, settle
+        self._points, self._least_points = points, least_points
         self._client = ActionClient(node, PositionArm, "positioner/position_arm")
 
-    async def run(self, take: TakeSample, estimate: GetEstimate, least_dots: Callable[[], int]) -> str:
+    async def run(self, take: TakeSample, estimate: GetEstimate) -> str:
         """Run the whole sequence from the present pose and come back to it; returns a summary.
 
         Args:
-            take: Takes a sample here and returns its view; raises StructuredLightError when it cannot.
+            take: Takes a sample here and returns it; raises StructuredLightError when it cannot.
             estimate: Gives the first estimate from the samples so far.
-            least_dots: Fewest dots of a view for the motions to go on at full size.
 
         Raises:
             InvalidInputError: No positioner, no dots at the start, or too few poses reached.
@@ -64,13 +67,13 @@ class GuidedMotion:
         if not self._client.server_is_ready():
             raise InvalidInputError("the positioner is not running: no action server positioner/position_arm")
         first = await take()
-        start, at_start = first.base_from_flange, len(first.row)
+        start, at_start = first.arrays["base_from_flange"], self._points(first)
         taken, skipped = 1, 0
         scale = 1.0
         for i in range(len(first_motions(start, self._options))):
             reached = await self._visit(first_motions(start, self._options, scale)[i], take)
             taken, skipped = taken + (reached > 0), skipped + (reached == 0)
-            if 0 <= reached < max(0.3 * at_start, least_dots()):
+            if 0 <= reached < max(0.3 * at_start, self._least_points):
                 scale *= 0.6  # most dots left the image: smaller steps
         found = estimate()
         if found is None:
@@ -93,8 +96,8 @@ class GuidedMotion:
         """Go to a flange pose and take a sample; returns its number of dots, 0 where that failed."""
         try:
             await self._move(base_from_flange)
-            await self._rest()
-            return len((await take()).row)
+            await sleep(self._node, self._settle)
+            return self._points(await take())
         except StructuredLightError as error:
             self._node.get_logger().warning(f"pose skipped: {error}")
             return 0
@@ -122,9 +125,3 @@ class GuidedMotion:
         if not (self._folder / HAND_EYE_FILE).exists():
             return transforms.identity()
         return load_hand_eye(self._folder).transform
-
-    async def _rest(self) -> None:
-        future: Future = Future()
-        timer = self._node.create_timer(self._settle, lambda: future.done() or future.set_result(None))
-        await future
-        self._node.destroy_timer(timer)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pattern_gen.pattern import Letter
+from sl_calibration.sessions import SessionPattern
 from sl_common.errors import InvalidInputError
 from sl_msgs.msg import Correspondences, Pattern
 
@@ -61,6 +63,20 @@ def centers_from_message(message: Pattern) -> Array:
         )
     centers = np.stack([message.center_u, message.center_v], axis=-1).astype(np.float64)
     return centers.reshape(*shape, 2)
+
+
+def session_pattern(message: Pattern) -> SessionPattern:
+    """Return what a calibration session needs of a pattern; raises StructuredLightError for a wrong message."""
+    letters = tuple(
+        Letter((int(letter.rgb[0]), int(letter.rgb[1]), int(letter.rgb[2])), letter.shape) for letter in message.letters
+    )
+    return SessionPattern(
+        message.pattern_id,
+        centers_from_message(message),
+        (message.projector_width, message.projector_height),
+        message.spot_diameter,
+        letters,
+    )
 
 
 def colours_from_message(message: Pattern) -> NDArray[np.uint8]:

@@ -35,12 +35,14 @@ class Noise:
         projector: Of a dot's centre in the projected image [px]: what shifts a dot alike in all views.
         position: Of a reported flange position per axis [m].
         rotation: Of a reported flange rotation per axis [rad].
+        freedom: Degrees of freedom that the figures of position and rotation rest on; inf: they are known.
     """
 
     camera: Array
     projector: float = 0.05
     position: float = 1e-4
     rotation: float = np.radians(0.02)
+    freedom: tuple[float, float] = (np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,6 +43,20 @@ def residuals(result: SelfCalibration) -> dict[str, float]:
     }
 
 
+def describe(result: SelfCalibration) -> str:
+    """Return a result in one sentence."""
+    hand_eye = np.sqrt(np.diag(result.hand_eye_covariance))
+    projector = np.sqrt(np.diag(result.projector_pose_covariance))
+    text = (
+        f"{len(result.names)} views, {result.rms:.3f} px training and {result.left_out.pixels:.3f} px left-out error;"
+        f" hand-eye to {1e3 * np.linalg.norm(hand_eye[:3]):.2f} mm and"
+        f" {np.degrees(np.linalg.norm(hand_eye[3:])):.3f} deg,"
+        f" projector to {1e3 * np.linalg.norm(projector[:3]):.2f} mm and"
+        f" {np.degrees(np.linalg.norm(projector[3:])):.3f} deg (one sigma)"
+    )
+    return "; ".join([text, *result.warnings])
+
+
 def save(result: SelfCalibration, folder: str | os.PathLike[str], *, pattern_id: str) -> list[Path]:
     """Write camera.yaml, projector.yaml, hand_eye.yaml, projector_pose.yaml, a report and the dots; all files or none.
 

@@ -35,7 +35,7 @@ class RobotNoise:
 
     position: float = 1e-4
     rotation: float = float(np.radians(0.02))
-    belief: float = 8.0
+    belief: float = 3.0
 
 
 def estimate(
@@ -79,15 +79,13 @@ def estimate(
     projector_sigma = noise.projector * np.sqrt((lin.projector_residual**2).sum() / left_projector)
 
     trusted = 3 * int(problem.trusted.sum())
+    left = (max(trusted - share_position, 0.0), max(trusted - share_rotation, 0.0))
     return Noise(
         camera=camera,
         projector=max(float(projector_sigma), LEAST_PROJECTOR),
-        position=_blend(
-            noise.position, lin.pose_residual[:, :3], trusted - share_position, robot.position, robot.belief
-        ),
-        rotation=_blend(
-            noise.rotation, lin.pose_residual[:, 3:], trusted - share_rotation, robot.rotation, robot.belief
-        ),
+        position=_blend(noise.position, lin.pose_residual[:, :3], left[0], robot.position, robot.belief),
+        rotation=_blend(noise.rotation, lin.pose_residual[:, 3:], left[1], robot.rotation, robot.belief),
+        freedom=(left[0] + robot.belief, left[1] + robot.belief),
     )
 
 
@@ -95,7 +93,7 @@ def _blend(sigma: float, residual: Array, redundancy: float, prior: float, belie
     if np.isinf(belief):
         return prior
     squares = sigma**2 * float((residual**2).sum())
-    estimated = float(np.sqrt((squares + belief * prior**2) / (max(redundancy, 0.0) + belief)))
+    estimated = float(np.sqrt((squares + belief * prior**2) / (redundancy + belief)))
     return min(estimated, MOST_ROBOT_NOISE * prior)
 
 

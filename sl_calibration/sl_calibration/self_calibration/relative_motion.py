@@ -20,6 +20,7 @@ LEAST_COMMON = 15
 
 _MOST_PAIRS = 150
 _MOST_DOTS = 500
+_PLANE_DRAWS = 100
 _THRESHOLD = 1.5  # [px] of the RANSAC, generous: it only has to tell wrong codes from right ones.
 
 
@@ -120,7 +121,8 @@ def _relative_rotation(a: Array, b: Array, focal: float, flange_angle: float) ->
 
 def _plane_rotations(a: Array, b: Array, focal: float) -> tuple[Array, float] | None:
     """Return the rotations (1 or 2, 3, 3) that a homography allows and its share of dots; None: a scene with depth."""
-    homography, mask = cv2.findHomography(b, a, cv2.RANSAC, _THRESHOLD / focal)
+    # Only planes count, of which most draws are right: a few do.
+    homography, mask = cv2.findHomography(b, a, cv2.RANSAC, _THRESHOLD / focal, maxIters=_PLANE_DRAWS, confidence=0.999)
     if homography is None or mask.mean() < 0.8:
         return None
     rays = np.column_stack([b, np.ones(len(b))])[mask.ravel() > 0]
