@@ -1,4 +1,4 @@
-"""Height and mean slopes of a surface at one place by kriging: the noise decides how far around it is averaged.
+"""Height, slopes and bending of a surface at one place by kriging: the noise decides how far around it is averaged.
 
 A height field is a quadric (or a plane) plus a smooth random field plus noise. How long the waves of the field are, and
 how high beside the noise, is judged by the restricted likelihood; instead of one best answer all plausible ones are
@@ -22,6 +22,9 @@ _PRIOR = np.where(_SHARES == 0.0, np.log(len(_SHARES) - 1.0), 0.0)
 """Log of their weights before the data: as likely no field at all as any."""
 _REJECT = 3.5
 """Residuals of points left out beyond this many standard deviations are outliers."""
+_ROUGHNESS = 0.02
+"""Height of details that no field of one correlation length describes, in units of the points' spacing: such points are
+no outliers however small the noise."""
 _OUTLIER_WEIGHT = 1e-6
 _ROUNDS = 8
 _QUADRIC = 24
@@ -32,14 +35,16 @@ through a dot and its neighbours, whatever pores there are between them."""
 
 
 def _footprint() -> tuple[Array, Array]:
-    """Return places (K, 2) and their weights (K, 3) in height and mean slopes, by Gauss-Hermite quadrature."""
+    """Return places (K, 2) and their weights (K, 6) in the height, the mean slopes along x and y and the mean second
+    derivatives xx, xy and yy at the origin, by Gauss-Hermite quadrature.
+    """
     t, w = np.polynomial.hermite_e.hermegauss(5)
     x, y = (a.ravel() for a in np.meshgrid(t, t))
     weight = np.outer(w, w).ravel() / w.sum() ** 2
-    middle = (x == 0.0) & (y == 0.0)
-    return _FOOTPRINT * np.stack([x, y], axis=1), np.stack(
-        [middle, weight * x / _FOOTPRINT, weight * y / _FOOTPRINT], axis=1
-    )
+    middle = np.where((x == 0.0) & (y == 0.0), 1.0, 0.0)
+    derivatives = [weight * f for f in (x, y, x * x - 1, x * y, y * y - 1)]
+    scales = _FOOTPRINT ** np.array([0, 1, 1, 2, 2, 2])
+    return _FOOTPRINT * np.stack([x, y], axis=1), np.stack([middle, *derivatives], axis=1) / scales
 
 
 _NODES, _FUNCTIONALS = _footprint()
@@ -50,22 +55,24 @@ class HeightFit:
     """A height field at the origin.
 
     Attributes:
-        estimate: (3,) height [m] and mean slopes along x and y over a dot's neighbourhood.
+        estimate: (3,) height [m] and slopes along x and y, means over a dot's neighbourhood.
         covariance: (3, 3) of the estimate.
+        bending: (2, 2) second derivatives, means over a dot's neighbourhood [1/m].
         noise: Standard deviation of the inliers' heights [m].
         inliers: (N,) points that agree with the surface.
     """
 
     estimate: Array
     covariance: Array
+    bending: Array
     noise: float
     inliers: Mask
 
 
 @dataclass(frozen=True, eq=False)
 class _Kernel:
-    """Correlations of the field for one length: between points (N, N), of them with height and slopes at the origin
-    (N, 3), and among the latter (3, 3).
+    """Correlations of the field for one length: between points (N, N), of them with what is asked for at the origin
+    (N, 6), and among that (6, 6).
     """
 
     among: Array
@@ -81,8 +88,8 @@ class _Field:
         values: (M,) variance of each component in units of the field's.
         vectors: (N, M) the components in the weighted heights.
         heights: (M,) components of the heights.
-        reach: (M, 3) correlation of each component with what the trend says wrongly at the origin.
-        rest: (3, 3) variance of that, in units of the field's.
+        reach: (M, 6) correlation of each component with what the trend says wrongly at the origin.
+        rest: (6, 6) variance of that, in units of the field's.
     """
 
     values: Array
@@ -97,7 +104,7 @@ class _Trend:
     """The trend alone: weighted least squares.
 
     Attributes:
-        hat: (N, 3) what each weighted height adds to height and slopes at the origin.
+        hat: (N, 6) what each weighted height adds to what is asked for at the origin.
         outside: (N, M) orthonormal, what the trend cannot describe.
         parameters: Of the trend.
     """
@@ -122,14 +129,15 @@ def fit_height(places: Array, heights: Array, weights: Array, inliers: Mask, spa
     tried: list[Mask] = []
     while True:
         tried.append(inliers)
-        fit, residuals = _average(xy, heights, weights, inliers, kernels)
+        fit, residuals = _average(xy, heights, weights, inliers, kernels, _ROUGHNESS * spacing)
         # hyperparameters that outliers have inflated make all residuals small: the scale follows, within reason
         scale = np.clip(1.4826 * np.median(np.abs(residuals[inliers])), 0.3, 1.0)
         inliers = np.abs(residuals) <= _REJECT * scale
         if len(tried) == _ROUNDS or any((inliers == old).all() for old in tried) or 2 * inliers.sum() < len(xy):
             break
     units = np.array([1.0, 1 / spacing, 1 / spacing])
-    return HeightFit(fit.estimate * units, fit.covariance * np.outer(units, units), fit.noise, fit.inliers)
+    covariance = fit.covariance * np.outer(units, units)
+    return HeightFit(fit.estimate * units, covariance, fit.bending / spacing**2, fit.noise, fit.inliers)
 
 
 def _kernel(xy: Array, length: float) -> _Kernel:
@@ -153,7 +161,7 @@ def _matern(distance: Array, length: float) -> Array:
 
 
 def _average(
-    xy: Array, heights: Array, nominal: Array, inliers: Mask, kernels: list[_Kernel]
+    xy: Array, heights: Array, nominal: Array, inliers: Mask, kernels: list[_Kernel], roughness: float
 ) -> tuple[HeightFit, Array]:
     """Average all lengths and shares by their likelihood.
 
@@ -172,10 +180,11 @@ def _average(
     estimate = probability @ means
     off = means - estimate
     covariance = np.einsum("k,kij->ij", probability, covariances + off[:, :, None] * off[:, None])
-    fit = HeightFit(estimate, covariance, float(np.sqrt(probability @ noise)), inliers)
+    bending = estimate[[[3, 4], [4, 5]]]
+    fit = HeightFit(estimate[:3], covariance[:3, :3], bending, float(np.sqrt(probability @ noise)), inliers)
     best, share = divmod(int(np.argmax(log)), len(_SHARES))
-    residuals = _left_out(fields[best], _shares(fields[best])[share], weights, nominal)
-    return fit, residuals / np.sqrt(noise[np.argmax(log)])
+    off, variance = _left_out(fields[best], _shares(fields[best])[share], weights, nominal)
+    return fit, off / np.sqrt(variance * noise[np.argmax(log)] + roughness**2)
 
 
 def _take_trend(xy: Array, root: Array, count: int) -> _Trend:
@@ -184,7 +193,8 @@ def _take_trend(xy: Array, root: Array, count: int) -> _Trend:
     design = np.stack([*plane, x * x, x * y, y * y] if count >= _QUADRIC else plane, axis=1)
     p = design.shape[1]
     q, r = np.linalg.qr(root[:, None] * design, mode="complete")
-    return _Trend(q[:, :p] @ np.linalg.pinv(r[:p]).T[:, :3], q[:, p:], p)
+    derivatives = np.diag([1.0, 1.0, 1.0, 2.0, 1.0, 2.0])[:p]
+    return _Trend(q[:, :p] @ np.linalg.pinv(r[:p]).T @ derivatives, q[:, p:], p)
 
 
 def _past_trend(kernel: _Kernel, root: Array, heights: Array, trend: _Trend) -> _Field:
@@ -208,7 +218,7 @@ def _shares(field: _Field) -> Array:
 
 
 def _all_shares(field: _Field, flat: Array, flat_covariance: Array, freedom: int) -> tuple[Array, Array, Array, Array]:
-    """Return log likelihood (S,), estimate (S, 3), covariance (S, 3, 3) and noise variance (S,) for all shares."""
+    """Return log likelihood (S,), estimate (S, 6), covariance (S, 6, 6) and noise variance (S,) for all shares."""
     shares = _shares(field)
     gain = 1.0 / (shares[:, None] * field.values + 1.0)
     noise = np.maximum((gain * field.heights**2).sum(axis=1) / freedom, 1e-18)
@@ -219,9 +229,11 @@ def _all_shares(field: _Field, flat: Array, flat_covariance: Array, freedom: int
     return log, means, noise[:, None, None] * (flat_covariance + s * (field.rest - s * known)), noise
 
 
-def _left_out(field: _Field, share: float, weights: Array, nominal: Array) -> Array:
-    """Return how far each point is off the prediction of all others (N,), in units of the noise."""
+def _left_out(field: _Field, share: float, weights: Array, nominal: Array) -> tuple[Array, Array]:
+    """Return how far each point is off the prediction of all others (N,) [m], and the variance of that (N,) in units of
+    the noise's.
+    """
     gain = 1.0 / (share * field.values + 1.0)
     precision = np.maximum((field.vectors**2) @ gain, 1e-15)
     off = (field.vectors @ (gain * field.heights)) / (precision * np.sqrt(weights))
-    return off / np.sqrt(np.maximum(1 / precision - 1, 0.0) / weights + 1 / nominal)
+    return off, np.maximum(1 / precision - 1, 0.0) / weights + 1 / nominal

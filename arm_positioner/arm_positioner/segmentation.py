@@ -1,7 +1,9 @@
 """The object of interest in an unordered cloud: the nearest coherent patch of dots.
 
 Dots that are neighbours in the projected pattern are neighbours on the surface, unless the surface breaks between them.
-A break shows as a gap that is long against the dots' own spacing, or as a step that neither side continues into.
+A break shows as a gap that is long against the spacing of the dots around it (light that grazes a surface does not come
+back), as an edge along the line of sight, or as a step that neither side continues into. Only points with several
+unbroken edges join patches: a single wrong point is no bridge.
 """
 
 import numpy as np
@@ -15,30 +17,59 @@ Indices = NDArray[np.int64]
 
 _LONGEST_EDGE = 3.5
 """Edges longer than this multiple of the local spacing are gaps; a surface tilted by 70 degrees stretches them by 3."""
+_GRAZING = 0.12
+"""Sine of the angle between a long edge and the line of sight below which it is a jump in depth, not a surface."""
+_WINDOW = 3
+"""Rows and columns around a dot from which its spacing is judged: more than the rim of an object is wide."""
+_CORE = 4
+"""Unbroken edges, of eight, from which on a point may join patches."""
 _STEP = 0.6
 """Steps higher than this share of the local spacing, missed by the extrapolation from both sides, are breaks."""
 
 
-def components(points: Array, row: NDArray | None = None, col: NDArray | None = None) -> Indices:
+def components(
+    points: Array, row: NDArray | None = None, col: NDArray | None = None, viewpoint: Array | None = None
+) -> Indices:
     """Label the coherent patches of a cloud.
 
     Args:
         points: (N, 3) finite points [m].
         row: (N,) row of each dot in the pattern, or None: neighbours are then found by distance alone.
         col: (N,) column of each dot.
+        viewpoint: (3,) the camera's position [m]; None: not known.
 
     Returns labels (N,), 0 for the largest patch, 1 for the next and so on.
     """
     n = len(points)
     if n == 0:
         return np.zeros(0, dtype=np.int64)
-    edges = _near_edges(points) if row is None or col is None else _map_edges(points, row, col)
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
-    _, labels = connected_components(graph, directed=False)
+    edges, size = _near_edges(points) if row is None or col is None else _map_edges(points, row, col)
+    if viewpoint is not None:
+        edges = edges[~_along_sight(points, edges, size, viewpoint)]
+    core = np.bincount(edges.ravel(), minlength=n) >= _CORE
+    labels = _connected(edges[core[edges].all(axis=1)], n)
+    # the others belong to a core beside them, or to nobody
+    for a, b in (edges.T, edges.T[::-1]):
+        rim = ~core[a] & core[b]
+        labels[a[rim]] = labels[b[rim]]
     sizes = np.bincount(labels)
     rank = np.empty(len(sizes), dtype=np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     return rank[labels]
+
+
+def _connected(edges: Indices, n: int) -> Indices:
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _along_sight(points: Array, edges: Indices, size: Array, viewpoint: Array) -> NDArray[np.bool_]:
+    """Tell which edges (M, 2) lie along the line of sight though they are longer than noise would make them."""
+    edge = points[edges[:, 1]] - points[edges[:, 0]]
+    sight = points[edges].mean(axis=1) - viewpoint
+    length = np.linalg.norm(edge, axis=1)
+    sine = np.linalg.norm(np.cross(edge, sight), axis=1) / np.maximum(length * np.linalg.norm(sight, axis=1), 1e-15)
+    return (sine < _GRAZING) & (length > 1.5 * np.minimum(size[edges[:, 0]], size[edges[:, 1]]))
 
 
 def nearest_component(
@@ -74,31 +105,26 @@ def spacing(points: Array) -> float:
     return float(np.median(distance[:, 1]))
 
 
-def _near_edges(points: Array) -> Indices:
+def _near_edges(points: Array) -> tuple[Indices, Array]:
+    """Return the edges (M, 2) between near points, each once, and the spacing around each point (N,) [m]."""
     k = min(9, len(points))
-    distance, index = cKDTree(points).query(points, k=k)
     if k < 2:
-        return np.zeros((0, 2), dtype=np.int64)
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(len(points))
+    distance, index = cKDTree(points).query(points, k=k)
     scale = distance[:, min(4, k - 1)]
-    a = np.repeat(np.arange(len(points)), k - 1)
-    b, length = index[:, 1:].ravel(), distance[:, 1:].ravel()
+    a, b, length = np.repeat(np.arange(len(points)), k - 1), index[:, 1:].ravel(), distance[:, 1:].ravel()
     keep = length <= _LONGEST_EDGE * np.minimum(scale[a], scale[b])
-    return np.stack([a[keep], b[keep]], axis=1)
+    return np.unique(np.sort(np.stack([a[keep], b[keep]], axis=1), axis=1), axis=0), scale
 
 
-def _map_edges(points: Array, row: NDArray, col: NDArray) -> Indices:
-    """Return the edges (M, 2) between neighbours in row, column and diagonal that no break cuts."""
+def _map_edges(points: Array, row: NDArray, col: NDArray) -> tuple[Indices, Array]:
+    """Return the edges (M, 2) between neighbours in row, column and diagonal that no break cuts, and the spacing of the
+    dots around each point (N,) [m].
+    """
     row, col = np.asarray(row, dtype=np.int64), np.asarray(col, dtype=np.int64)
     grid = np.full((row.max() + 7, col.max() + 7), -1, dtype=np.int64)
     grid[row + 3, col + 3] = np.arange(len(points))  # a margin of three spares all border checks
-    straight = np.full((len(points), 4), np.nan)
-    for k, (dr, dc) in enumerate(((0, 1), (0, -1), (1, 0), (-1, 0))):
-        straight[:, k] = _distance(points, grid[row + 3 + dr, col + 3 + dc])
-    local = np.sort(straight, axis=1)  # NaN last
-    scale = np.where(np.isfinite(local[:, 1]), local[:, 1], local[:, 0])
-    if not np.isfinite(scale).any():
-        return np.zeros((0, 2), dtype=np.int64)
-    scale = np.where(np.isfinite(scale), scale, np.nanmedian(scale))
+    scale = _spacing_around(points, row, col, grid)
     found = []
     for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
         at = [grid[row + 3 + s * dr, col + 3 + s * dc] for s in (-1, 1, 2)]
@@ -109,11 +135,28 @@ def _map_edges(points: Array, row: NDArray, col: NDArray) -> Indices:
         miss = np.fmin(_second_difference(points, before, a, b), _second_difference(points, a, b, after))
         keep = (length <= _LONGEST_EDGE * size) & ~(miss > _STEP * np.maximum(size, length / 2))
         found.append(np.stack([a[keep], b[keep]], axis=1))
-    return np.concatenate(found)
+    return np.concatenate(found), scale
 
 
-def _distance(points: Array, neighbour: Indices) -> Array:
-    return np.where(neighbour >= 0, np.linalg.norm(points - points[neighbour], axis=1), np.nan)
+def _spacing_around(points: Array, row: Indices, col: Indices, grid: Indices) -> Array:
+    """Return the lower quartile (N,) of the distances between neighbouring dots in a window around each [m].
+
+    At the rim of an object the surface turns away and the dots move apart; the quartile of a window wider than the rim
+    still is the spacing on the face, which any step has to be compared with.
+    """
+    steps = np.full((2, *grid.shape), np.nan)
+    for k, (dr, dc) in enumerate(((0, 1), (1, 0))):
+        neighbour = grid[row + 3 + dr, col + 3 + dc]
+        steps[k, row + 3, col + 3] = np.where(
+            neighbour >= 0, np.linalg.norm(points - points[neighbour], axis=1), np.nan
+        )
+    padded = np.pad(steps, ((0, 0), (_WINDOW, _WINDOW), (_WINDOW, _WINDOW)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * _WINDOW + 1, 2 * _WINDOW + 1), axis=(1, 2))
+    near = np.sort(windows[:, row + 3, col + 3].transpose(1, 0, 2, 3).reshape(len(points), -1), axis=1)  # NaN last
+    count = np.isfinite(near).sum(axis=1)
+    quartile = near[np.arange(len(points)), np.maximum(count - 1, 0) // 4]
+    some = np.isfinite(quartile)
+    return np.where(some, quartile, np.median(quartile[some]) if some.any() else 0.0)
 
 
 def _second_difference(points: Array, i: Indices, j: Indices, k: Indices) -> Array:

@@ -44,12 +44,19 @@ class Sight:
         self._filter = smoothing or TargetFilter()
         self._lock = threading.Lock()
         self._latest: Target | None = None
+        self._offset: Array | None = None
 
     def reset(self) -> None:
         """Forget the object: the next target is the nearest one again."""
         with self._lock:
             self._filter.reset()
-            self._latest = None
+            self._latest = self._offset = None
+
+    def choose_anew(self) -> None:
+        """Keep the object but not the place on it: the next target is where the normal is clear."""
+        with self._lock:
+            self._filter.reset()
+            self._offset = None
 
     @property
     def latest(self) -> Target | None:
@@ -57,9 +64,12 @@ class Sight:
         return self._latest
 
     def look(self, sighting: Sighting, options: TargetOptions, *, anchor: Array | None = None) -> Target:
-        """Return the target in a cloud, as it is; see :func:`.target.find_target` for ``anchor`` and errors."""
+        """Return the target in a cloud, as it is; see :func:`.target.find_target` for ``anchor`` and errors.
+
+        The place on the object, chosen in the first cloud, stays where it is against the object's middle.
+        """
         with self._lock:
-            previous = self._latest
+            previous, offset = self._latest, self._offset
         target = self._find(
             sighting.points,
             sighting.base_from_camera,
@@ -69,9 +79,12 @@ class Sight:
             options=options,
             previous=None if previous is None else previous.surface.point,
             anchor=anchor,
+            offset=offset,
         )
         with self._lock:
             self._latest = target
+            if offset is None or anchor is not None:
+                self._offset = target.surface.point - target.middle
             self._filter.update(sighting.time, target.base_from_camera)
         return target
 

@@ -32,6 +32,8 @@ class FitOptions:
         min_inliers: Smallest share of inliers within the radius.
         max_normal_sigma: Largest standard deviation of the normal [rad].
         max_tilt: Largest angle between normal and line of sight [rad].
+        place_sigma: Standard deviation of errors that all points have in common [m], such as the calibration's: on a
+            curved surface the normal is known no better than the place.
     """
 
     min_points: int = 12
@@ -39,6 +41,7 @@ class FitOptions:
     min_inliers: float = 0.5
     max_normal_sigma: float = 0.05
     max_tilt: float = 1.4
+    place_sigma: float = 0.0005
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +51,12 @@ class SurfacePatch:
     Attributes:
         point: (3,) on the surface [m].
         normal: (3,) unit normal, towards the viewer.
-        covariance: (3, 3) of the distance along the normal [m] and the normal's tilt along two tangents [rad].
+        covariance: (3, 3) of the distance along the normal [m] and the normal's tilt along two tangents [rad], where
+            the latter includes what an error of the place makes on a curved surface.
         tangents: (2, 3) the two tangents.
         radius: Of the neighbourhood used [m].
         count: Number of inliers.
+        share: Their share of the points within the radius.
         rms: Noise of the points along the normal [m].
     """
 
@@ -61,12 +66,18 @@ class SurfacePatch:
     tangents: Array
     radius: float
     count: int
+    share: float
     rms: float
 
     @property
     def normal_sigma(self) -> float:
         """Standard deviation of the normal in its worst direction [rad]."""
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1], 0.0)))
+
+    def angle_to(self, viewpoint: Array) -> float:
+        """Return the angle between the normal and the line of sight to ``viewpoint`` (3,) [rad]."""
+        sight = viewpoint - self.point
+        return float(np.arccos(np.clip(self.normal @ sight / np.linalg.norm(sight), -1, 1)))
 
 
 def fit_patch(
@@ -110,13 +121,14 @@ def fit_patch(
     patch = SurfacePatch(
         centre + fit.estimate[0] * axis,
         normal,
-        fit.covariance,
+        _with_place(fit, options.place_sigma),
         _turned(tangents, normal),
         radius,
         int(np.count_nonzero(fit.inliers)),
+        float(np.mean(fit.inliers)),
         fit.noise,
     )
-    _judge(patch, patch.count / len(near), viewpoint, options)
+    _judge(patch, viewpoint, options)
     return patch
 
 
@@ -124,6 +136,13 @@ def _fit(local: Array, weights: Array, normal: Array, tangents: Array, spacing: 
     """Fit a height field along ``normal`` to points (N, 3) around the origin."""
     places, heights = local @ tangents.T, local @ normal
     return fit_height(places, heights, weights, _believable(places, heights, spacing), spacing)
+
+
+def _with_place(fit: HeightFit, place_sigma: float) -> Array:
+    """Return the fit's covariance (3, 3) with that of a place known to ``place_sigma`` along the surface."""
+    covariance = fit.covariance.copy()
+    covariance[1:, 1:] += place_sigma**2 * fit.bending @ fit.bending.T
+    return covariance
 
 
 def _believable(places: Array, heights: Array, spacing: float) -> NDArray[np.bool_]:
@@ -154,12 +173,12 @@ def _turned(tangents: Array, normal: Array) -> Array:
     return np.stack([first, np.cross(normal, first)])
 
 
-def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOptions) -> None:
+def _judge(patch: SurfacePatch, viewpoint: Array, options: FitOptions) -> None:
     """Raise TargetError where the patch is not good enough."""
-    if patch.count < options.min_points or share < options.min_inliers:
+    if patch.count < options.min_points or patch.share < options.min_inliers:
         raise TargetError(
-            f"surface fit refused: {patch.count} of its points ({100 * share:.0f} %) lie on one surface, at least "
-            f"{options.min_points} and {100 * options.min_inliers:.0f} % are needed"
+            f"surface fit refused: {patch.count} of its points ({100 * patch.share:.0f} %) lie on one surface, at "
+            f"least {options.min_points} and {100 * options.min_inliers:.0f} % are needed"
         )
     if not patch.rms <= options.max_rms:
         raise TargetError(
@@ -171,8 +190,7 @@ def _judge(patch: SurfacePatch, share: float, viewpoint: Array, options: FitOpti
             f"surface fit refused: the normal is known to {np.degrees(patch.normal_sigma):.1f} deg only, limit "
             f"{np.degrees(options.max_normal_sigma):.1f} deg ({patch.count} points)"
         )
-    sight = viewpoint - patch.point
-    tilt = float(np.arccos(np.clip(patch.normal @ sight / np.linalg.norm(sight), -1, 1)))
+    tilt = patch.angle_to(viewpoint)
     if tilt > options.max_tilt:
         raise TargetError(
             f"surface seen at {np.degrees(tilt):.0f} deg from its normal, limit "
