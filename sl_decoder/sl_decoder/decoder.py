@@ -24,6 +24,7 @@ LEAST_KERNEL = 12  # side of the background filter [px]
 KERNEL_SHARE = 1 / 36  # of the image's width: a pattern of some sixty columns that fills the image has this pitch
 WIDER_KERNEL = 2.6  # times the usual side, for dots seen from near
 WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
+BLURS = (0.3, 0.0, 0.6, 0.3)  # metrics in which what is left is linked once more [px^2]
 SATURATED_SHARE = 0.5  # of a dot's core, from which its letter is not trusted
 
 
@@ -110,6 +111,9 @@ class Decoder:
                 reading.refit()
                 reading.place(evidence)
                 reading.grow(self.limit)
+                for blur in BLURS:
+                    if not reading.is_complete() and reading.place_rest(blur):
+                        reading.grow(self.limit)
             if smooth is not None:
                 reading.recover(smooth, self.limit)
             reading.finish(self.limit)

@@ -22,6 +22,8 @@ import numpy as np
 from sl_decoder.compiled import compiled
 
 NEIGHBOURS = 16  # candidates looked at around each dot
+BLUR = 0.3  # variance that the image's filter and the optics add to a footprint's core [px^2]
+BLUR_MOST = 0.6  # but no more than this share of its narrow side
 TOLERANCE = 0.30  # a neighbour lies this close to its prediction, in units of the local lattice spacing
 
 
@@ -141,21 +143,35 @@ def nearest(points, k):
 
 
 @compiled
-def smooth_shapes(covariance, near):
-    """Mean footprint (N, 3) over each dot and its eight nearest, each normalised to unit area first."""
+def smooth_shapes(covariance, near, blur_most):
+    """Mean footprint (N, 3) over each dot and its eight nearest, each without blur and normalised to unit area first.
+
+    Blur makes a footprint rounder than the lattice's metric is, the more the smaller the dot and the more oblique the
+    view. blur_most: variance to take off [px^2].
+    """
     n = len(covariance)
     out = np.empty((n, 3), np.float32)
+    sharp = np.empty((n, 3), np.float32)
+    for i in range(n):
+        a, b, c = covariance[i, 0], covariance[i, 1], covariance[i, 2]
+        difference = np.float32(0.5) * (a - c)
+        narrow = np.float32(0.5) * (a + c) - np.sqrt(difference * difference + b * b)
+        blur = min(np.float32(blur_most), np.float32(BLUR_MOST) * max(narrow, np.float32(0)))
+        a -= blur
+        c -= blur
+        s = 1.0 / np.sqrt(max(a * c - b * b, 1e-3))
+        sharp[i, 0] = a * s
+        sharp[i, 1] = b * s
+        sharp[i, 2] = c * s
     for i in range(n):
         a = b = c = 0.0
         for m in range(-1, 8):
             j = i if m < 0 else near[i, m]
             if j < 0:
                 break
-            det = covariance[j, 0] * covariance[j, 2] - covariance[j, 1] ** 2
-            s = 1.0 / np.sqrt(max(det, 1e-3))
-            a += covariance[j, 0] * s
-            b += covariance[j, 1] * s
-            c += covariance[j, 2] * s
+            a += sharp[j, 0]
+            b += sharp[j, 1]
+            c += sharp[j, 2]
         s = 1.0 / np.sqrt(max(a * c - b * b, 1e-6))
         out[i, 0] = a * s
         out[i, 1] = b * s

@@ -61,6 +61,7 @@ class Interpretation:
         self.letter_evidence = np.zeros(shape, np.float32)
         self.error = np.zeros(shape, np.float32)
         self.size = np.zeros(shape, np.float32)
+        self.thin = np.zeros(shape, np.float32)
         self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
         self.model: LetterModel | None = None
         self.accepted = 0
@@ -70,15 +71,26 @@ class Interpretation:
 
     def build_graph(self) -> None:
         """Lattice links and connected components."""
-        n, lattice = self.n, self.book.lattice
+        n = self.n
         self.near = graph.nearest(self.centre[:n], graph.NEIGHBOURS)
-        shape = graph.smooth_shapes(self.covariance[:n], self.near)
+        self._link(graph.BLUR)
+        self._lay_out(self.links, self.quality)
+
+    def _link(self, blur: float) -> None:
+        """Lattice links of all dots in the metric of their footprints without `blur` [px^2]."""
+        n, lattice = self.segmented, self.book.lattice
+        shape = graph.smooth_shapes(self.covariance[:n], self.near, blur)
         self.links = np.empty((n, lattice.directions), np.int32)
-        quality = np.empty(n, np.float32)
-        graph.local_bases(self.centre[:n], shape, self.near, lattice.directions, graph.TOLERANCE, self.links, quality)
-        self.component, frame, self.u, self.v = (np.empty(n, np.int32) for _ in range(4))
+        self.quality = np.empty(n, np.float32)
+        graph.local_bases(
+            self.centre[:n], shape, self.near, lattice.directions, graph.TOLERANCE, self.links, self.quality
+        )
+
+    def _lay_out(self, links: NDArray[np.int32], quality: NDArray[np.float32]) -> None:
+        """Follow the links to components, and lay these out on their lattices."""
+        self.component, frame, self.u, self.v = (np.empty(self.segmented, np.int32) for _ in range(4))
         count, self.conflicts = graph.components(
-            self.links, quality, lattice.steps, self.component, frame, self.u, self.v
+            links, quality, self.book.lattice.steps, self.component, frame, self.u, self.v
         )
         self.cell, self.at, self.width = placement.lay_out(
             self.component, self.u, self.v, self.conflicts, count, SMALLEST_COMPONENT
@@ -127,6 +139,30 @@ class Interpretation:
         book = self.book
         score = voting.vote(self.cell, self.at, self.width, self.letter, book.lattice.window, book.alphabet, book.codes)
         self.letter[: self.n] = voting.elect(score, self.letter[: self.n])
+
+    def place_rest(self, blur: float) -> int:
+        """Place what is left: components of the dots that hold no element yet; returns how many dots that gave.
+
+        A link that jumps over a depth edge joins surfaces whose lattices do not continue each other; all beyond it has
+        wrong coordinates, or two of them. Without the dots that are decoded, what is left falls apart into its own
+        lattices. blur: of the metric in which they are linked [px^2]; none is right for all dots of all images.
+        """
+        n = self.segmented
+        self._link(blur)
+        free = (self.holder_v[:n] < 0) & ~self.mirrored_dots
+        at, conflicts = self.at, self.conflicts
+        linked = (self.links >= 0) & free[self.links] & free[:, None]
+        held = (self.claim.copy(), self.holder_u.copy(), self.holder_v.copy())
+        self._lay_out(np.where(linked, self.links, -1), np.where(free, self.quality, np.float32(np.inf)))
+        self.place(NEXT_EVIDENCE)
+        found = (self.claim >= 0) & (held[0] < 0)
+        dots = self.claim[found]
+        held[0][found] = dots
+        held[1][dots], held[2][dots] = self.holder_u[dots], self.holder_v[dots]
+        self.claim, self.holder_u, self.holder_v = held
+        self.at = np.where(self.at >= 0, self.at, at)  # for the reasons only
+        self.conflicts &= conflicts
+        return len(dots)
 
     def place(self, first_evidence: float) -> int:
         """Windows vote, placements are verified and claim their elements; returns how many were accepted."""
@@ -244,6 +280,7 @@ class Interpretation:
                 self.claim,
                 self.centre,
                 self.area,
+                self.covariance,
                 self.evidence,
                 self.book.letters,
                 lattice.steps,
@@ -251,8 +288,11 @@ class Interpretation:
                 self.error,
                 self.kind,
                 self.size,
+                self.thin,
             )
-            judgement.own_evidence(self.claim, self.letter_evidence, self.error, self.kind, self.size, self.own)
+            judgement.own_evidence(
+                self.claim, self.segmented, self.letter_evidence, self.error, self.kind, self.size, self.thin, self.own
+            )
             judgement.solve(self.claim, self.own, lattice.window, self.belief)
             if not judgement.release_worst(
                 self.claim, self.belief, limit, self.holder_u, self.holder_v, self.banned_u, self.banned_v

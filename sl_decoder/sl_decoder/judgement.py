@@ -22,19 +22,41 @@ PLACE_SHARE = np.array([[0.78, 0.20, 0.02], [0.68, 0.20, 0.12], [0.45, 0.35, 0.2
 PLACE_MOST = 4.0
 # beyond (some 99.8 % of true dots lie within) the dot is half lit, merged or not on this surface: its centre is wrong
 PLACE_LIMIT = np.array([0.14, 0.22, 0.30], np.float32)
+RECOVERED_LIMIT = 0.65  # times that for dots that were only found where they were expected: faint, or next to an edge
 OFF_PLACE = 12.0
 ROUGHER = 1.6  # times the surroundings' mean residual, from which a dot is out of line
 SMOOTH_LIMIT = 0.07  # but never below this, nor below SMOOTH_FACTOR times the image's median residual
 SMOOTH_FACTOR = 8.0
+# footprints: log of the smallest axis of a dot's footprint over its neighbours' mean footprint
+THIN_STEP, THIN_LEAST, THIN_BINS = 0.02, -2.0, 150  # histogram of the whole rings' footprints
+THIN_KIND = np.array(
+    [1.0, 1.2, 1.5, 1.5], np.float32
+)  # times the spread, per kind: there are neighbours on one side only
+THIN_FLOOR = 0.08  # least spread
+THIN_TAIL = 0.04  # share of true dots of any shape (highlights, noise)
+THIN_RANGE = 2.0  # over which those, and dots that are cut, are spread
+CUT_SHARE = 0.5  # of the false dots are cut by an edge, the others are whole dots of another surface
 PAIR = 1.2  # support of two sound neighbours on opposite sides
 SINGLE = 0.3  # support of one sound neighbour
 SWEEPS = 6
 
 
 @compiled
-def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_of, size):
+def thinness(c0, c1, c2, n0, n1, n2):
+    """Logarithm of the smallest axis (as a variance) of footprint c in units of footprint n: a dot cut in half has -1.3.
+
+    Both are covariances xx, xy, yy [px^2]: the smaller eigenvalue of n^-1 c."""
+    det = max(n0 * n2 - n1 * n1, np.float32(1e-6))
+    half = np.float32(0.5) * (c0 * n2 - 2 * c1 * n1 + c2 * n0) / det
+    product = (c0 * c2 - c1 * c1) / det
+    return np.log(max(half - np.sqrt(max(half * half - product, np.float32(0))), np.float32(0.05)))
+
+
+@compiled
+def gather(claim, centre, area, covariance, log_p, map_letters, steps, letter, error, kind_of, size, thin):
     """Evidence of all held elements, each (V, U): letter log-likelihood ratio, position error [lattice units], kind of
-    prediction, size: log of the core's area per lattice cell, relative to the neighbours'."""
+    prediction, size: log of the core's area per lattice cell, relative to the neighbours'; thin: see `thinness`, nan
+    where there are too few neighbours to compare with."""
     rows, cols = claim.shape
     absolute = np.empty((rows, cols), np.float32)
     for v in range(rows):
@@ -58,18 +80,74 @@ def gather(claim, centre, area, log_p, map_letters, steps, letter, error, kind_o
                 continue
             total = np.float32(0)
             n = 0
+            n0 = n1 = n2 = np.float32(0)
+            m = 0
             for vv in range(max(0, v - 1), min(rows, v + 2)):
                 for uu in range(max(0, u - 1), min(cols, u + 2)):
-                    if claim[vv, uu] >= 0 and (vv != v or uu != u) and absolute[vv, uu] == absolute[vv, uu]:
+                    j = claim[vv, uu]
+                    if j < 0 or (vv == v and uu == u):
+                        continue
+                    n0 += covariance[j, 0]
+                    n1 += covariance[j, 1]
+                    n2 += covariance[j, 2]
+                    m += 1
+                    if absolute[vv, uu] == absolute[vv, uu]:
                         total += absolute[vv, uu]
                         n += 1
+            thin[v, u] = np.float32(np.nan)
+            if m >= 2:
+                i = claim[v, u]
+                thin[v, u] = thinness(covariance[i, 0], covariance[i, 1], covariance[i, 2], n0 / m, n1 / m, n2 / m)
             size[v, u] = absolute[v, u] - total / n if n > 0 and absolute[v, u] == absolute[v, u] else np.float32(0)
 
 
 @compiled
-def own_evidence(claim, letter, error, kind_of, size, own):
-    """Log-odds (V, U) of each held element by itself."""
+def thin_statistics(claim, thin, kind_of):
+    """Median and robust spread of the dots' thinness in this image, from those with whole rings."""
     rows, cols = claim.shape
+    histogram = np.zeros(THIN_BINS, np.int32)
+    n = 0
+    for v in range(rows):
+        for u in range(cols):
+            if claim[v, u] >= 0 and kind_of[v, u] == FULL and thin[v, u] == thin[v, u]:
+                k = int((thin[v, u] - THIN_LEAST) / THIN_STEP)
+                histogram[max(0, min(THIN_BINS - 1, k))] += 1
+                n += 1
+    if n < 20:
+        return np.float32(-0.1), np.float32(0.2)
+    quarters = np.zeros(3, np.float32)
+    below = 0
+    q = 0
+    for k in range(THIN_BINS):
+        below += histogram[k]
+        while q < 3 and 4 * below >= (q + 1) * n:
+            quarters[q] = THIN_LEAST + (k + 0.5) * THIN_STEP
+            q += 1
+    # the upper half: dots that are cut belong to the lower
+    spread = max((quarters[2] - quarters[1]) / np.float32(0.6745), np.float32(THIN_FLOOR))
+    return quarters[1], spread
+
+
+@compiled
+def thin_evidence(thin, middle, spread):
+    """Log-likelihood ratio of a footprint: true dots look like their neighbours, false ones are often cut."""
+    if np.isnan(thin):
+        return np.float32(0)
+    z = (thin - middle) / spread
+    if z > 0:
+        z *= np.float32(0.5)  # being fatter than the others is no sign of a cut
+    like = np.exp(np.float32(-0.5) * z * z) / (np.float32(2.5066) * spread)
+    tail = np.float32(1 / THIN_RANGE)
+    true = np.float32(1 - THIN_TAIL) * like + np.float32(THIN_TAIL) * tail
+    false = np.float32(1 - CUT_SHARE) * like + np.float32(CUT_SHARE) * tail
+    return np.log(true / false)
+
+
+@compiled
+def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
+    """Log-odds (V, U) of each held element by itself; dots from number `segmented` on were recovered."""
+    rows, cols = claim.shape
+    thin_middle, thin_spread = thin_statistics(claim, thin, kind_of)
     histogram = np.zeros(200, np.int32)
     n = 0
     for v in range(rows):
@@ -98,6 +176,8 @@ def own_evidence(claim, letter, error, kind_of, size, own):
                     density += PLACE_SHARE[kind, c] * np.exp(e2 / s2) / (np.float32(2 * np.pi) * s2)
                 place = min(np.log(density), np.float32(PLACE_MOST))
             limit = PLACE_LIMIT[min(kind, 2)]
+            if claim[v, u] >= segmented:
+                limit *= np.float32(RECOVERED_LIMIT)
             if kind < EXTRAPOLATED:
                 # out of line with its surroundings: their own residuals tell how rough the surface is
                 rough = np.float32(0)
@@ -111,7 +191,9 @@ def own_evidence(claim, letter, error, kind_of, size, own):
                     limit = min(limit, max(np.float32(smooth_limit) * (1 + kind), np.float32(ROUGHER) * rough / m))
             if kind < UNPREDICTED and error[v, u] > limit:
                 place = np.float32(-OFF_PLACE)
-            own[v, u] = letter[v, u] + place - np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
+            shape = thin_evidence(thin[v, u], thin_middle, thin_spread * THIN_KIND[kind])
+            shape -= np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
+            own[v, u] = letter[v, u] + place + shape
 
 
 @compiled

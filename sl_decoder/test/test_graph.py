@@ -38,7 +38,13 @@ def linked(lattice, angle: float, squeeze: float, rng: np.random.Generator):
     links = np.empty((len(points), lattice.directions), np.int32)
     quality = np.empty(len(points), np.float32)
     graph.local_bases(
-        points, graph.smooth_shapes(covariance, near), near, lattice.directions, graph.TOLERANCE, links, quality
+        points,
+        graph.smooth_shapes(covariance, near, graph.BLUR),
+        near,
+        lattice.directions,
+        graph.TOLERANCE,
+        links,
+        quality,
     )
     component, frame, cu, cv = (np.empty(len(points), np.int32) for _ in range(4))
     count, conflicts = graph.components(links, quality, lattice.steps, component, frame, cu, cv)
