@@ -109,7 +109,7 @@ def test_wrong_usage_is_exit_code_2_and_help_has_an_example(command, capsys):
     with pytest.raises(SystemExit) as stop:
         command.main(["--help"])
     assert stop.value.code == 0
-    assert "example: ros2 run sl_sim" in capsys.readouterr().out
+    assert "example:\n  ros2 run sl_sim" in capsys.readouterr().out
 
 
 def test_a_motion_has_noisy_reports_and_exact_truth(tmp_path, capsys):

@@ -1,33 +1,14 @@
-"""What all commands share: error handling, sizes, and a progress line."""
+"""What the commands share: sizes, and a progress line."""
 
 from __future__ import annotations
 
 import argparse
 import shutil
 import sys
-from collections.abc import Callable
 
 from tqdm import tqdm
 
 from pattern_gen.generation import Progress
-from sl_common.errors import StructuredLightError
-
-
-def run_command(main: Callable[[argparse.Namespace], None], parser: argparse.ArgumentParser) -> int:
-    """Parse the arguments and run; 0 done, 1 failed with one line on stderr (2, wrong usage, comes from argparse)."""
-    arguments = parser.parse_args()
-    try:
-        main(arguments)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        print(f"error: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("error: interrupted, nothing was written", file=sys.stderr)
-        return 1
-    return 0
 
 
 def size(text: str) -> tuple[int, int]:

@@ -8,21 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from pattern_gen.commands.cli import run_command
 from pattern_gen.errors import PatternError
 from pattern_gen.pattern import Pattern
+from sl_common.commands import make_parser, run_command
 from sl_common.files import atomic_path
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run pattern_gen export",
-        description="Write a pattern as an image and as numpy arrays.",
-        epilog="example:\n  ros2 run pattern_gen export pattern.yaml --image pattern.png --npz pattern.npz\n\n"
+    parser = make_parser(
+        "pattern_gen export",
+        "Write a pattern as an image and as numpy arrays.",
+        "  ros2 run pattern_gen export pattern.yaml --image pattern.png --npz pattern.npz\n\n"
         "The npz holds image (H,W,3 uint8 RGB), symbols (rows,cols) and centers (rows,cols,2: u, v in projector px).",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("file", type=Path, help="the pattern file (YAML)")
     parser.add_argument("--image", type=Path, help="projector image, lossless: .png, .tif or .bmp")
     parser.add_argument("--npz", type=Path, help="arrays")
@@ -54,11 +53,11 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def main() -> int:
     """Entry point."""
-    parser = make_parser()
+    parser = _parser()
     arguments = parser.parse_args()
     if arguments.image is None and arguments.npz is None:
         parser.error("give --image, --npz or both")
-    return run_command(_run, parser)
+    return run_command(parser, _run)
 
 
 if __name__ == "__main__":

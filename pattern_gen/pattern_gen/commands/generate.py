@@ -6,25 +6,24 @@ import argparse
 import sys
 from pathlib import Path
 
-from pattern_gen.commands.cli import ProgressLine, run_command, size
+from pattern_gen.commands.cli import ProgressLine, size
 from pattern_gen.generation import Reading, Request, parse_aspect, pattern_of
 from pattern_gen.letters import choose_letters
 from pattern_gen.pattern import Grid
+from sl_common.commands import make_parser, run_command
 
-EXAMPLE = """examples:
+EXAMPLE = """\
   ros2 run pattern_gen generate --letters 6 --hamming 3 --rows 44 --cols 58 --output pattern.yaml
   ros2 run pattern_gen generate --letters 6 --hamming 3 --aspect 4:3 --time-limit 30 --output large.yaml
   ros2 run pattern_gen generate --letters 4 --hamming 3 --grid hexagonal --monochrome --output hexagonal.yaml
 """
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run pattern_gen generate",
-        description="Generate a rotation-invariant map of letters in which all windows differ.",
-        epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = make_parser(
+        "pattern_gen generate", "Generate a rotation-invariant map of letters in which all windows differ.", EXAMPLE
+    )
     parser.add_argument("--letters", type=int, required=True, help="size of the alphabet, 2 to 36")
     parser.add_argument(
         "--hamming", type=int, default=1, help="least number of differing spots of two windows (default 1)"
@@ -99,7 +98,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def main() -> int:
     """Entry point."""
-    parser = make_parser()
+    parser = _parser()
     arguments = parser.parse_args()
     if (arguments.rows is None) != (arguments.cols is None):
         parser.error("give both --rows and --cols, or neither")
@@ -107,7 +106,7 @@ def main() -> int:
         parser.error("--aspect goes without --rows and --cols")
     if arguments.time_limit <= 0:
         parser.error(f"--time-limit {arguments.time_limit} must be above 0")
-    return run_command(_run, parser)
+    return run_command(parser, _run)
 
 
 if __name__ == "__main__":

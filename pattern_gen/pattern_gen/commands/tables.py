@@ -8,21 +8,21 @@ from pathlib import Path
 
 import cv2
 
-from pattern_gen.commands.cli import ProgressLine, run_command
+from pattern_gen.commands.cli import ProgressLine
 from pattern_gen.errors import SearchError
 from pattern_gen.generation import Request, pattern_of
 from pattern_gen.letters import choose_letters
 from pattern_gen.tables import CELLS, TITLES, as_csv, as_markdown, compute, picture
+from sl_common.commands import make_parser, run_command
 from sl_common.files import atomic_path, write_text
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run pattern_gen tables",
-        description="Search for the maps of the paper's tables, verify them, and write tables, maps and pictures.",
-        epilog="example:\n  ros2 run pattern_gen tables --output tables --table square --hamming 3",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "pattern_gen tables",
+        "Search for the maps of the paper's tables, verify them, and write tables, maps and pictures.",
+        "  ros2 run pattern_gen tables --output tables --table square --hamming 3",
     )
     parser.add_argument(
         "--output", type=Path, required=True, help="folder for tables.md, tables.csv, maps and pictures"
@@ -79,7 +79,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def main() -> int:
     """Entry point."""
-    return run_command(_run, make_parser())
+    return run_command(_parser(), _run)
 
 
 if __name__ == "__main__":

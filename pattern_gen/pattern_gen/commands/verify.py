@@ -6,21 +6,20 @@ import argparse
 import sys
 from pathlib import Path
 
-from pattern_gen.commands.cli import run_command
 from pattern_gen.errors import PatternError
 from pattern_gen.generation import Reading
 from pattern_gen.pattern import Pattern
 from pattern_gen.verification import verify_map
+from sl_common.commands import make_parser, run_command
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run pattern_gen verify",
-        description="Check that all windows of a pattern differ as its file says.",
-        epilog="example:\n  ros2 run pattern_gen verify pattern.yaml",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = make_parser(
+        "pattern_gen verify",
+        "Check that all windows of a pattern differ as its file says.",
+        "  ros2 run pattern_gen verify pattern.yaml",
+    )
     parser.add_argument("file", type=Path, help="the pattern file (YAML)")
     parser.add_argument("--hamming", type=int, help="check this distance instead of the file's min_hamming")
     parser.add_argument("--reading", choices=[reading.value for reading in Reading], default="strict",
@@ -56,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def main() -> int:
     """Entry point."""
-    return run_command(_run, make_parser())
+    return run_command(_parser(), _run)
 
 
 if __name__ == "__main__":

@@ -11,27 +11,25 @@ from sl_bringup.demo.report import Row, passed, table
 from sl_bringup.errors import BenchmarkError
 from sl_bringup.isolation import environment, free_domain
 from sl_bringup.terminal import Terminal
+from sl_common.commands import UsageError, make_parser, run_command
 from sl_common.errors import StructuredLightError
 from sl_common.files import write_text
 
-_EPILOG = """example:
-  ros2 run sl_bringup benchmark --only sl_decoder decoder_node --json bench.json
+_EXAMPLE = """  ros2 run sl_bringup benchmark --only sl_decoder decoder_node --json bench.json
 
 The exit code is 0 when every row with a limit keeps it."""
 
 NODE = "decoder_node"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command."""
+def _parser() -> argparse.ArgumentParser:
     from sl_bringup.benchmarks.packages import available
 
     choices = [*available(), NODE]
-    parser = argparse.ArgumentParser(
-        prog="ros2 run sl_bringup benchmark",
-        description="Measure every package on this machine and print one table: name, value, unit, limit.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = make_parser(
+        "sl_bringup benchmark",
+        "Measure every package on this machine and print one table: name, value, unit, limit.",
+        _EXAMPLE,
     )
     parser.add_argument("--only", nargs="+", choices=choices, default=choices, help="which parts (default: all)")
     parser.add_argument(
@@ -39,19 +37,15 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--domain-id", type=int, help="ROS domain (default: one that nobody uses)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON too")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
     if options.seconds <= 0:
-        parser.error(f"--seconds {options.seconds:g} must be positive")
-    try:
-        rows = _rows(options)
-        if options.json:
-            write_text(options.json, json.dumps([row.as_dict() for row in rows], indent=1) + "\n")
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; all processes ended", file=sys.stderr)
-        return 130
+        raise UsageError(f"--seconds {options.seconds:g} must be positive")
+    rows = _rows(options)
+    if options.json:
+        write_text(options.json, json.dumps([row.as_dict() for row in rows], indent=1) + "\n")
     print(table(rows))
     return 0 if passed(rows) else 1
 
@@ -81,6 +75,11 @@ def _node_rows(options: argparse.Namespace) -> list[Row]:
         from sl_bringup.benchmarks.decoder_node import decoder_node_rows
 
         return decoder_node_rows(domain, Path(logs), options.seconds)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command."""
+    return run_command(_parser(), _run, arguments)
 
 
 if __name__ == "__main__":

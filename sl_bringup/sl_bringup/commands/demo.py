@@ -17,11 +17,10 @@ from sl_bringup.demo.report import Row, passed, table
 from sl_bringup.errors import DemoError
 from sl_bringup.ros.session import Session
 from sl_bringup.terminal import Terminal
-from sl_common.errors import StructuredLightError
+from sl_common.commands import UsageError, make_parser, run_command
 from sl_common.files import write_text
 
-_EPILOG = """example:
-  ros2 run sl_bringup demo --scene sphere --output /tmp/demo
+_EXAMPLE = """  ros2 run sl_bringup demo --scene sphere --output /tmp/demo
 
 The exit code is 0 when the arm ends within 2 mm and 0.5 deg of the commanded pose and of the true surface, with no
 limit violation counted by the cell's driver; 1 when not, or when something failed; 130 after Ctrl-C."""
@@ -42,14 +41,12 @@ class Options:
     no_bag: bool
 
 
-def parse(arguments: list[str] | None = None) -> Options:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run sl_bringup demo",
-        description="Run the whole chain, each node a process of its own, on a simulated cell: an arm with an "
-        "eye-in-hand camera positions itself in front of an object by structured light.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def _parser() -> argparse.ArgumentParser:
+    parser = make_parser(
+        "sl_bringup demo",
+        "Run the whole chain, each node a process of its own, on a simulated cell: an arm with an eye-in-hand camera "
+        "positions itself in front of an object by structured light.",
+        _EXAMPLE,
     )
     parser.add_argument(
         "--scene", default="cylinder", help="plane, sphere, wavy, bust, boxes, ... (default: %(default)s)"
@@ -69,11 +66,14 @@ def parse(arguments: list[str] | None = None) -> Options:
     parser.add_argument("--short", action="store_true", help="no pictures, no bag, a quicker motion: for CI")
     parser.add_argument("--no-bag", action="store_true", help="record no bag")
     parser.add_argument("--domain-id", type=int, help="ROS domain (default: one that nobody uses)")
-    parsed = parser.parse_args(arguments)
+    return parser
+
+
+def _options(parsed: argparse.Namespace) -> Options:
     if not 0.05 <= parsed.standoff <= 2.0:
-        parser.error(f"--standoff {parsed.standoff:g} is not within 0.05 to 2 m")
+        raise UsageError(f"--standoff {parsed.standoff:g} is not within 0.05 to 2 m")
     if not 0 <= parsed.duration <= 60:
-        parser.error(f"--duration {parsed.duration:g} is not within 0 to 60 s")
+        raise UsageError(f"--duration {parsed.duration:g} is not within 0 to 60 s")
     parsed.calibration = parsed.calibration or ("nominal" if parsed.short else "self")
     return Options(**vars(parsed))
 
@@ -159,26 +159,22 @@ def _prepare(folder: Path) -> None:
     marker.touch()
 
 
+def _act(parsed: argparse.Namespace) -> int:
+    options, terminal = _options(parsed), Terminal()
+    good = run(options, terminal)
+    verdict = "passed" if good else "FAILED: see the rows marked so"
+    terminal.plain(f"{verdict}; everything is in {options.output}")
+    return 0 if good else 1
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command."""
-    options = parse(arguments)
+    """Run the command; SIGTERM ends it as Ctrl-C does, with all processes."""
 
     def terminate(_signal: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, terminate)
-    terminal = Terminal()
-    try:
-        good = run(options, terminal)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; all processes ended", file=sys.stderr)
-        return 130
-    verdict = "passed" if good else "FAILED: see the rows marked so"
-    terminal.plain(f"{verdict}; everything is in {options.output}")
-    return 0 if good else 1
+    return run_command(_parser(), _act, arguments)
 
 
 if __name__ == "__main__":

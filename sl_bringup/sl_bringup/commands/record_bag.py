@@ -7,41 +7,33 @@ import tempfile
 from pathlib import Path
 
 from sl_bringup.errors import BagError
-from sl_common.errors import StructuredLightError
+from sl_common.commands import UsageError, make_parser, run_command
 
-_EPILOG = """example:
-  ros2 run sl_bringup record_bag --scene wavy --seed 1 --output bags/wavy
+_EXAMPLE = """  ros2 run sl_bringup record_bag --scene wavy --seed 1 --output bags/wavy
 
 The folder then holds bag/ (MCAP), calibration/ (exact), truth.json and spots.npy.
 The same arguments give the same messages."""
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run sl_bringup record_bag",
-        description="Render a short motion of the simulated cell and write what the nodes would receive as a bag.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def _parser() -> argparse.ArgumentParser:
+    parser = make_parser(
+        "sl_bringup record_bag",
+        "Render a short motion of the simulated cell and write what the nodes would receive as a bag.",
+        _EXAMPLE,
     )
     parser.add_argument("--scene", default="wavy", help="scene of the cell (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of scene, mounting and noise (default: %(default)s)")
     parser.add_argument("--frames", type=int, default=5, help="number of images (default: %(default)s)")
     parser.add_argument("--output", type=Path, required=True, help="folder to create")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
     if options.frames < 2:
-        parser.error("--frames must be at least 2")
-    try:
-        _record(options.output, options.scene, options.seed, options.frames)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; nothing written", file=sys.stderr)
-        return 130
+        raise UsageError(f"--frames {options.frames} must be at least 2")
+    _record(options.output, options.scene, options.seed, options.frames)
     size = sum(p.stat().st_size for p in options.output.rglob("*") if p.is_file())
     print(f"{options.output}: {options.frames} images, {size / 1e6:.1f} MB")
-    return 0
 
 
 def _record(output: Path, scene: str, seed: int, frames: int) -> None:
@@ -58,6 +50,11 @@ def _record(output: Path, scene: str, seed: int, frames: int) -> None:
         temporary.rename(output)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command."""
+    return run_command(_parser(), _run, arguments)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,9 @@ from sl_bringup.bag.reader import BagReader
 from sl_bringup.ros.participant import own_node, without_ros_arguments
 from sl_bringup.ros.player import Player
 from sl_bringup.terminal import Terminal
-from sl_common.errors import StructuredLightError
+from sl_common.commands import UsageError, make_parser, run_command
 
-_EPILOG = """example:
-  ros2 run sl_decoder decoder --ros-args -p use_sim_time:=true &
+_EXAMPLE = """  ros2 run sl_decoder decoder --ros-args -p use_sim_time:=true &
   ros2 run sl_calibration triangulator --ros-args -p use_sim_time:=true -p calibration_folder:=bags/wavy/calibration &
   ros2 run sl_bringup replay bags/wavy/bag --rate 0.5 --loop
 
@@ -42,13 +41,11 @@ class _Stop:
         self._asked = True
 
 
-def parse(words: Sequence[str]) -> argparse.Namespace:
-    """Read the command line; ROS arguments are left to rclpy."""
-    parser = argparse.ArgumentParser(
-        prog="ros2 run sl_bringup replay",
-        description="Play a bag into the running nodes, with /clock, each topic with the QoS it was recorded with.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def _parser() -> argparse.ArgumentParser:
+    parser = make_parser(
+        "sl_bringup replay",
+        "Play a bag into the running nodes, with /clock, each topic with the QoS it was recorded with.",
+        _EXAMPLE,
     )
     parser.add_argument("bag", type=Path, help="the bag's folder (or a folder of record_bag, or the .mcap file)")
     parser.add_argument("--rate", type=float, default=1.0, help="2 plays twice as fast (default: %(default)s)")
@@ -60,14 +57,13 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         default=10.0,
         help="longest wait for a subscriber of some topic before playing [s] (default: %(default)s)",
     )
-    options = parser.parse_args(without_ros_arguments(words))
-    if not 0.01 <= options.rate <= 100:
-        parser.error(f"--rate {options.rate:g} is not within 0.01 to 100")
-    return options
+    return parser
 
 
-def run(options: argparse.Namespace, words: Sequence[str]) -> None:
+def _run(options: argparse.Namespace, words: Sequence[str]) -> None:
     """Play the bag; ``words`` may hold ROS arguments. Raises StructuredLightError where the bag cannot be read."""
+    if not 0.01 <= options.rate <= 100:
+        raise UsageError(f"--rate {options.rate:g} is not within 0.01 to 100")
     stop, terminal = _Stop(), Terminal()
     folder = options.bag / "bag" if (options.bag / "bag" / "metadata.yaml").is_file() else options.bag
     with BagReader(folder) as bag, own_node("replay", words) as node:
@@ -103,15 +99,9 @@ def _await_subscribers(player: Player, timeout: float, stop: _Stop, terminal: Te
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command."""
+    """Run the command; ROS arguments are left to rclpy."""
     words = sys.argv[1:] if arguments is None else arguments
-    options = parse(words)
-    try:
-        run(options, words)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_command(_parser(), lambda options: _run(options, words), without_ros_arguments(words))
 
 
 if __name__ == "__main__":

@@ -17,26 +17,22 @@ from sl_calibration.camera_calibration import (
     root_mean_square,
 )
 from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
-from sl_calibration.commands.shared import progress, read_image, run
+from sl_calibration.commands.shared import read_image
 from sl_calibration.grid_files import save_camera_calibration
 from sl_calibration.intrinsics import MODELS
+from sl_common.commands import make_parser, progress, run_command
 from sl_common.errors import InvalidInputError
 
-EXAMPLE = """example:
+EXAMPLE = """\
   ros2 run sl_calibration calibrate_camera --board 8x6 --square 0.03 --output calibration/camera.yaml images/*.jpg
 The board is given by its inner corners. 10 images or more, the board tilted differently in each and reaching into the
 image's corners. The left-out error is that of views that the calibration did not see: it chooses the distortion
 model."""
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    p = argparse.ArgumentParser(
-        prog="calibrate_camera",
-        description=__doc__,
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    p = make_parser("sl_calibration calibrate_camera", __doc__ or "", EXAMPLE)
     p.add_argument("--board", required=True, metavar="CxR", help="inner corners of the chessboard, such as 8x6")
     p.add_argument("--square", required=True, type=float, metavar="M", help="side of a square in metres")
     p.add_argument("--model", default="auto", choices=("auto", *MODELS), help="distortion model (default: auto)")
@@ -48,7 +44,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    return run(make_parser(), _run, arguments)
+    return run_command(_parser(), _run, arguments)
 
 
 def _run(args: argparse.Namespace) -> None:

@@ -11,7 +11,7 @@ from pattern_gen.gray_code import Arrangement
 from sl_calibration.camera_calibration import name_odd_view, rms
 from sl_calibration.chessboard import Board, BoardNotFoundError, parse_size
 from sl_calibration.commands.calibrate_camera import parameter_line
-from sl_calibration.commands.shared import images_in, progress, read_image, run
+from sl_calibration.commands.shared import images_in, read_image
 from sl_calibration.gray_code import Capture, CaptureError, make_capture
 from sl_calibration.grid_files import save_procam_calibration
 from sl_calibration.intrinsics import MODELS
@@ -19,9 +19,10 @@ from sl_calibration.projector_calibration import ProcamCalibration, ProcamOption
 from sl_calibration.projector_corners import board_in_capture
 from sl_calibration.virtual_screen import virtual_screen
 from sl_common.cameras import CameraModel
+from sl_common.commands import make_parser, progress, run_command
 from sl_common.errors import InvalidInputError
 
-EXAMPLE = """example:
+EXAMPLE = """\
   ros2 run sl_calibration calibrate_procam --board 9x7 --square 0.075 --projector 1024x768 --output calibration
   capture_*
 Each folder holds the photographs of one sequence in the order of their names: column bits, most significant first, each
@@ -29,14 +30,9 @@ followed by its inverse, row bits likewise, then (optionally) all white and all 
 five, the board tilted differently in each. Writes camera.yaml, projector.yaml and camera_from_projector.yaml."""
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    p = argparse.ArgumentParser(
-        prog="calibrate_procam",
-        description=__doc__,
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    p = make_parser("sl_calibration calibrate_procam", __doc__ or "", EXAMPLE)
     p.add_argument("--board", required=True, metavar="CxR", help="inner corners of the chessboard, such as 9x7")
     p.add_argument("--square", required=True, type=float, metavar="M", help="side of a square in metres")
     p.add_argument("--projector", required=True, metavar="WxH", help="projector's resolution, such as 1024x768")
@@ -62,7 +58,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    return run(make_parser(), _run, arguments)
+    return run_command(_parser(), _run, arguments)
 
 
 def _run(args: argparse.Namespace) -> None:

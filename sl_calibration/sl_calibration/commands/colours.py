@@ -12,10 +12,11 @@ from pattern_gen import Pattern
 from sl_calibration.colour_calibration import ColourCalibration, calibrate_colours, save_colours
 from sl_calibration.colour_charts import colour_chart_samples
 from sl_calibration.colour_letters import LetterOptions
-from sl_calibration.commands.shared import images_in, progress, read_image, run
+from sl_calibration.commands.shared import images_in, read_image
+from sl_common.commands import make_parser, progress, run_command
 from sl_common.errors import InvalidInputError
 
-EXAMPLE = """example:
+EXAMPLE = """\
   ros2 run sl_calibration colours --pattern pattern.yaml --chart photos/chart --intensity photos/intensity \\
       --output calibration/colours.yaml
 Project the frames with pattern_publisher's set_projection (COLOUR_CHART steps 0 to 27; INTENSITY_CHART steps 0 to 17 of
@@ -24,11 +25,9 @@ chart is optional. Give the file to pattern_publisher and decoder (parameter col
 --colours."""
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    p = argparse.ArgumentParser(
-        prog="colours", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = make_parser("sl_calibration colours", __doc__ or "", EXAMPLE)
     p.add_argument("--pattern", required=True, type=Path, metavar="FILE.yaml", help="pattern whose letters to choose")
     p.add_argument("--chart", required=True, type=Path, metavar="DIR", help="photos of the colour chart, by name order")
     p.add_argument("--intensity", type=Path, metavar="DIR", help="photos of the intensity chart, by name order")
@@ -46,7 +45,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    return run(make_parser(), _run, arguments)
+    return run_command(_parser(), _run, arguments)
 
 
 def _run(args: argparse.Namespace) -> None:

@@ -7,24 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
-from sl_calibration.commands.shared import run
 from sl_calibration.grid_files import save_hand_eye_calibration
 from sl_calibration.hand_eye import HandEye, HandEyeOptions, calibrate_hand_eye
 from sl_calibration.pose_stream import load_poses
+from sl_common.commands import make_parser, run_command
 from sl_common.transforms import to_quaternion
 
-EXAMPLE = """example:
+EXAMPLE = """\
   ros2 run sl_calibration hand_eye --hand hand.csv --eye eye.csv --output calibration/hand_eye.yaml
 Rows of both files: t,x,y,z,qx,qy,qz,qw [s, m], header optional. hand: base_from_hand. eye: camera_from_target, or its
 inverse, which is found out. Single poses with equal stamps, or two streams at any rates: the hand's is interpolated and
 the time offset between them estimated. Turn the hand by 30 deg and more about two axes; 15 poses or more."""
 
 
-def make_parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    p = argparse.ArgumentParser(
-        prog="hand_eye", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = make_parser("sl_calibration hand_eye", __doc__ or "", EXAMPLE)
     p.add_argument("--hand", required=True, type=Path, metavar="HAND.csv", help="poses of the hand in the base")
     p.add_argument("--eye", required=True, type=Path, metavar="EYE.csv", help="poses of the target in the camera")
     p.add_argument("--output", required=True, type=Path, metavar="FILE.yaml", help="file to write")
@@ -47,7 +45,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    return run(make_parser(), _run, arguments)
+    return run_command(_parser(), _run, arguments)
 
 
 def _run(args: argparse.Namespace) -> None:

@@ -14,9 +14,9 @@ from sl_calibration.self_calibration.files import save
 from sl_calibration.self_calibration.inputs import Motion, load_motion, load_views
 from sl_calibration.self_calibration.noise_model import RobotNoise
 from sl_calibration.self_calibration.result import SelfCalibration
-from sl_common.errors import StructuredLightError
+from sl_common.commands import make_parser, run_command
 
-EXAMPLE = """example:
+EXAMPLE = """\
   ros2 run sl_decoder decode_images --pattern pattern.yaml --output decoded images/*.png
   ros2 run sl_calibration self_calibrate --motion motion.json --correspondences decoded --pattern pattern.yaml \\
       --output calibration
@@ -27,11 +27,9 @@ flat."""
 _STAGES = 7
 
 
-def parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    p = argparse.ArgumentParser(
-        prog="self_calibrate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = make_parser("sl_calibration self_calibrate", __doc__ or "", EXAMPLE)
     p.add_argument("--motion", required=True, help="JSON with the camera and each image's flange pose")
     p.add_argument("--correspondences", required=True, help="folder with NAME.csv as decode_images writes it")
     p.add_argument("--pattern", required=True, help="pattern file (YAML) that was projected")
@@ -55,13 +53,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    args = parser().parse_args(arguments)
-    try:
-        _run(args)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_command(_parser(), _run, arguments)
 
 
 def _run(args: argparse.Namespace) -> None:

@@ -1,46 +1,15 @@
-"""What the commands share: running with one clear line on failure, a progress bar, image files."""
+"""What the commands share: image files."""
 
-import argparse
 import re
-import sys
-from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from sl_common.errors import InvalidInputError, StructuredLightError
-
-Item = TypeVar("Item")
+from sl_common.errors import InvalidInputError
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-
-
-def run(
-    parser: argparse.ArgumentParser, action: Callable[[argparse.Namespace], None], given: Sequence[str] | None
-) -> int:
-    """Parse and act; return the exit code: 0 done, 1 failed with one line on stderr (2, wrong usage, by argparse)."""
-    args = parser.parse_args(given)
-    try:
-        action(args)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("error: interrupted, nothing was written", file=sys.stderr)
-        return 1
-    return 0
-
-
-def progress(items: Iterable[Item], label: str) -> Iterable[Item]:
-    """Iterate with a progress bar on a terminal once it takes more than two seconds."""
-    return tqdm(items, desc=label, delay=2.0, disable=None, leave=False)
 
 
 def natural_order(path: Path) -> list[object]:

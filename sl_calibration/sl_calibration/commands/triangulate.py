@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from pattern_gen import Pattern
 from sl_calibration.self_calibration.inputs import load_motion, load_views
@@ -14,20 +13,19 @@ from sl_calibration.self_calibration.views import View
 from sl_calibration.triangulation import Triangulation, TriangulationOptions, camera_from_projector, triangulate
 from sl_common import transforms
 from sl_common.calibration_files import CAMERA_FILE, PROJECTOR_FILE, load_camera, load_hand_eye, load_projector_pose
-from sl_common.errors import InvalidInputError, StructuredLightError
+from sl_common.commands import make_parser, progress, run_command
+from sl_common.errors import InvalidInputError
 from sl_common.files import write_text
 
-EXAMPLE = """example:
+EXAMPLE = """\
   ros2 run sl_calibration triangulate --calibration calibration --motion motion.json --correspondences decoded \\
       --pattern pattern.yaml --output points
 writes points/NAME.csv with row,col,x,y,z [m] for every image of the motion and prints how well the views agree."""
 
 
-def parser() -> argparse.ArgumentParser:
+def _parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    p = argparse.ArgumentParser(
-        prog="triangulate", description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = make_parser("sl_calibration triangulate", __doc__ or "", EXAMPLE)
     p.add_argument(
         "--calibration", required=True, help="folder with projector.yaml, hand_eye.yaml, projector_pose.yaml"
     )
@@ -44,13 +42,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    args = parser().parse_args(arguments)
-    try:
-        _run(args)
-    except StructuredLightError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_command(_parser(), _run, arguments)
 
 
 def _run(args: argparse.Namespace) -> None:
@@ -66,7 +58,7 @@ def _run(args: argparse.Namespace) -> None:
         print(f"left out: {note}", file=sys.stderr)
 
     results = []
-    for view in tqdm(views, desc="triangulating", unit="image", delay=2.0, disable=None):
+    for view in progress(views, "triangulating"):
         _check_dots(view, pattern)
         extrinsics = camera_from_projector(view.base_from_flange, hand_eye, pose)
         projected = pattern.centers[view.row, view.col]

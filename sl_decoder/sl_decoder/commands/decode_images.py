@@ -9,9 +9,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tqdm import tqdm
 
 from pattern_gen import Pattern
+from sl_common.commands import UsageError, make_parser, progress, run_command
 from sl_common.errors import StructuredLightError
 from sl_common.files import atomic_path, write_text
 from sl_decoder.debug import draw
@@ -19,19 +19,16 @@ from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, DecoderOptions
 from sl_decoder.image_files import BAYER, read_image
 
-EXAMPLE = """example:
-  ros2 run sl_decoder decode_images --pattern pattern.yaml --output decoded --debug overlays images/*.png
-"""
+EXAMPLE = "  ros2 run sl_decoder decode_images --pattern pattern.yaml --output decoded --debug overlays images/*.png"
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    result = argparse.ArgumentParser(
-        prog="decode_images",
-        description="Decode images of the projected pattern. Writes OUTPUT/<image name>.csv with the header "
+    result = make_parser(
+        "sl_decoder decode_images",
+        "Decode images of the projected pattern. Writes OUTPUT/<image name>.csv with the header "
         "row,col,x,y,confidence; x and y in raw pixels, the centre of the top-left pixel is (0, 0).",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EXAMPLE,
     )
     result.add_argument("images", nargs="+", metavar="IMAGE", help="PNG, JPEG or TIFF, 8 or 16 bit")
     result.add_argument("--pattern", required=True, metavar="FILE", help="pattern file (YAML) of the projected pattern")
@@ -63,7 +60,7 @@ def _summary_line(name: str, decoded: Decoded) -> str:
 def run(arguments: argparse.Namespace) -> None:
     """Decode all images; raises StructuredLightError on the first that cannot be read."""
     if not 0.0 <= arguments.min_confidence <= 1.0:
-        raise StructuredLightError(f"--min-confidence is {arguments.min_confidence}, expected 0 to 1")
+        raise UsageError(f"--min-confidence is {arguments.min_confidence}, expected 0 to 1")
     names = [Path(image).stem for image in arguments.images]
     doubles = sorted({name for name in names if names.count(name) > 1})
     if doubles:
@@ -79,7 +76,7 @@ def run(arguments: argparse.Namespace) -> None:
     decoder = Decoder(pattern, options=DecoderOptions(min_confidence=arguments.min_confidence), colours=colours)
     lines = []
     total = 0
-    for path in tqdm(arguments.images, unit="image", delay=2.0, disable=not sys.stderr.isatty()):
+    for path in progress(arguments.images, "images"):
         bgr = read_image(path, bayer=arguments.bayer)
         decoded = decoder.decode(bgr)
         name = Path(path).stem
@@ -96,14 +93,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point: exit code 0 done, 1 failed with one line on stderr, 2 wrong usage."""
-    arguments = parser().parse_args(argv)
-    try:
-        np.seterr(all="ignore")
-        run(arguments)
-    except (StructuredLightError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    np.seterr(all="ignore")
+    return run_command(parser(), run, argv)
 
 
 if __name__ == "__main__":

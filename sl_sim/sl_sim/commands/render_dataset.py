@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from pattern_gen import Pattern, default_pattern
+from sl_common.commands import UsageError, make_parser, progress, run_command
 from sl_common.errors import StructuredLightError
 from sl_sim import scenes
 from sl_sim.dataset import CAMERAS, render_shot
@@ -16,11 +16,10 @@ from sl_sim.effects import EFFECTS
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="render_dataset",
-        description=__doc__,
-        epilog="example: ros2 run sl_sim render_dataset --output held_out --count 40 --seed 7 --scenes bust,boxes "
-        "--effects lab,dim",
+    parser = make_parser(
+        "sl_sim render_dataset",
+        "Render single-shot images of random scenes with exact truth.",
+        "  ros2 run sl_sim render_dataset --output held_out --count 40 --seed 7 --scenes bust,boxes --effects lab,dim",
     )
     listing = lambda names: ", ".join(names)  # noqa: E731
     parser.add_argument(
@@ -56,39 +55,36 @@ def _choice(text: str, known: tuple[str, ...], what: str) -> list[str]:
     return names
 
 
+def _run(args: argparse.Namespace) -> None:
+    if args.count < 1 or not 0 < args.near <= args.far or not 0 <= args.oblique < 85:
+        raise UsageError("--count must be at least 1, 0 < --near <= --far, 0 <= --oblique < 85")
+    names = _choice(args.scenes, scenes.NAMES, "scenes")
+    effects = _choice(args.effects, tuple(EFFECTS), "effects")
+    cameras = _choice(args.cameras, CAMERAS, "cameras")
+    pattern = Pattern.load(args.pattern) if args.pattern else default_pattern()
+    refuse_used(args.output)
+    args.output.mkdir(parents=True, exist_ok=True)
+    pattern.save(args.output / "pattern.yaml")
+    for k in progress(range(args.count), "images"):
+        seed = args.seed * 10000 + k
+        rng = np.random.default_rng([seed, 1])
+        shot = render_shot(
+            pattern,
+            scene=names[k % len(names)],
+            camera=str(rng.choice(cameras)),
+            effects=str(rng.choice(effects)),
+            seed=seed,
+            distance=(args.near, args.far),
+            oblique=args.oblique,
+        )
+        write_truth(args.output, shot.name, shot.arrays, shot.meta)
+        write_image(args.output, shot.name, shot.image)
+    print(f"{args.count} images in {args.output}")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ros2 run sl_sim render_dataset`; returns the exit code."""
-    parser = _parser()
-    args = parser.parse_args(arguments)
-    if args.count < 1 or not 0 < args.near <= args.far or not 0 <= args.oblique < 85:
-        parser.error("--count must be at least 1, 0 < --near <= --far, 0 <= --oblique < 85")
-    try:
-        names = _choice(args.scenes, scenes.NAMES, "scenes")
-        effects = _choice(args.effects, tuple(EFFECTS), "effects")
-        cameras = _choice(args.cameras, CAMERAS, "cameras")
-        pattern = Pattern.load(args.pattern) if args.pattern else default_pattern()
-        refuse_used(args.output)
-        args.output.mkdir(parents=True, exist_ok=True)
-        pattern.save(args.output / "pattern.yaml")
-        for k in tqdm(range(args.count), unit="image", disable=not sys.stderr.isatty()):
-            seed = args.seed * 10000 + k
-            rng = np.random.default_rng([seed, 1])
-            shot = render_shot(
-                pattern,
-                scene=names[k % len(names)],
-                camera=str(rng.choice(cameras)),
-                effects=str(rng.choice(effects)),
-                seed=seed,
-                distance=(args.near, args.far),
-                oblique=args.oblique,
-            )
-            write_truth(args.output, shot.name, shot.arrays, shot.meta)
-            write_image(args.output, shot.name, shot.image)
-    except (StructuredLightError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(f"{args.count} images in {args.output}")
-    return 0
+    return run_command(_parser(), _run, arguments)
 
 
 if __name__ == "__main__":

@@ -4,9 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from tqdm import tqdm
-
 from pattern_gen import Pattern, default_pattern
+from sl_common.commands import UsageError, make_parser, progress, run_command
 from sl_common.errors import StructuredLightError
 from sl_sim import scenes
 from sl_sim.cell import Cell, CellSettings
@@ -16,10 +15,10 @@ from sl_sim.motion_set import motion_file, motion_views
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="render_motion",
-        description=__doc__,
-        epilog="example: ros2 run sl_sim render_motion --output motion --views 14 --scene boxes --seed 3",
+    parser = make_parser(
+        "sl_sim render_motion",
+        "Render a robot motion for self-calibration: images, reported flange poses, and exact truth.",
+        "  ros2 run sl_sim render_motion --output motion --views 14 --scene boxes --seed 3",
     )
     parser.add_argument(
         "--output",
@@ -50,39 +49,36 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _run(args: argparse.Namespace) -> None:
+    if args.views < 1 or args.pers < 0 or args.noise_mm < 0 or args.noise_deg < 0 or not 0 <= args.oblique < 85:
+        raise UsageError("--views must be at least 1, --pers and the noise not negative, 0 <= --oblique < 85")
+    if args.effects not in EFFECTS:
+        raise StructuredLightError(f"unknown effects '{args.effects}': use one of {', '.join(EFFECTS)}")
+    refuse_used(args.output)
+    pattern = Pattern.load(args.pattern) if args.pattern else default_pattern()
+    settings = CellSettings(
+        scene=args.scene, seed=args.seed, pers=args.pers,
+        projector_width=pattern.projector_width, projector_height=pattern.projector_height,
+    )  # fmt: skip
+    cell = Cell(settings)
+    views, names = [], []
+    taken = motion_views(
+        cell, pattern, EFFECTS[args.effects], args.views,
+        noise_mm=args.noise_mm, noise_deg=args.noise_deg, oblique=args.oblique, seed=args.seed,
+    )  # fmt: skip
+    for k, view in enumerate(progress(taken, "views", total=args.views)):
+        write_truth(args.output, f"{k:03d}", view.arrays)
+        write_image(args.output, f"{k:03d}", view.image)
+        views.append(view)
+        names.append(f"images/{k:03d}.png")
+    pattern.save(args.output / "pattern.yaml")
+    write_json(args.output / "motion.json", motion_file(cell, views, names, args.noise_mm, args.noise_deg))
+    print(f"{args.views} views in {args.output}")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ros2 run sl_sim render_motion`; returns the exit code."""
-    parser = _parser()
-    args = parser.parse_args(arguments)
-    if args.views < 1 or args.pers < 0 or args.noise_mm < 0 or args.noise_deg < 0 or not 0 <= args.oblique < 85:
-        parser.error("--views must be at least 1, --pers and the noise not negative, 0 <= --oblique < 85")
-    try:
-        if args.effects not in EFFECTS:
-            raise StructuredLightError(f"unknown effects '{args.effects}': use one of {', '.join(EFFECTS)}")
-        refuse_used(args.output)
-        pattern = Pattern.load(args.pattern) if args.pattern else default_pattern()
-        settings = CellSettings(
-            scene=args.scene, seed=args.seed, pers=args.pers,
-            projector_width=pattern.projector_width, projector_height=pattern.projector_height,
-        )  # fmt: skip
-        cell = Cell(settings)
-        views, names = [], []
-        taken = motion_views(
-            cell, pattern, EFFECTS[args.effects], args.views,
-            noise_mm=args.noise_mm, noise_deg=args.noise_deg, oblique=args.oblique, seed=args.seed,
-        )  # fmt: skip
-        for k, view in enumerate(tqdm(taken, total=args.views, unit="view", disable=not sys.stderr.isatty())):
-            write_truth(args.output, f"{k:03d}", view.arrays)
-            write_image(args.output, f"{k:03d}", view.image)
-            views.append(view)
-            names.append(f"images/{k:03d}.png")
-        pattern.save(args.output / "pattern.yaml")
-        write_json(args.output / "motion.json", motion_file(cell, views, names, args.noise_mm, args.noise_deg))
-    except (StructuredLightError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(f"{args.views} views in {args.output}")
-    return 0
+    return run_command(_parser(), _run, arguments)
 
 
 if __name__ == "__main__":
