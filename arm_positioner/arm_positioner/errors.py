@@ -1,6 +1,7 @@
 """What can go wrong with a motion; each error carries the status code that reports it."""
 
 from enum import IntEnum
+from typing import Any, ClassVar
 
 from sl_common.errors import StructuredLightError
 
@@ -28,59 +29,56 @@ class PositionerError(StructuredLightError):
     """Base of the errors of this package.
 
     Attributes:
-        code: Status code under which the node reports the error.
+        code: Status code under which the node reports the error; subclasses name theirs in their definition.
     """
 
-    code = Code.INVALID_INPUT
+    code: ClassVar[Code] = Code.INVALID_INPUT
+
+    def __init_subclass__(cls, *, code: Code | None = None, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if code is not None:
+            cls.code = code
 
 
 class InvalidGoalError(PositionerError):
     """A goal, target or parameter that cannot be used: not finite, in an unknown frame, of the wrong size."""
 
 
-class TargetError(PositionerError):
+class TargetError(PositionerError, code=Code.LOST_CLOUD):
     """No target can be derived from a point cloud, or the surface fit is too poor to drive an arm by."""
 
-    code = Code.LOST_CLOUD
+
+class ObjectGoneError(TargetError):
+    """The object seen before is not in the cloud any more."""
 
 
-class JointLimitError(PositionerError):
+class JointLimitError(PositionerError, code=Code.JOINT_LIMIT):
     """A joint's position limit is in the way of a motion."""
 
-    code = Code.JOINT_LIMIT
 
-
-class UnreachableError(PositionerError):
+class UnreachableError(PositionerError, code=Code.UNREACHABLE):
     """Inverse kinematics finds no joint positions for a pose."""
 
-    code = Code.UNREACHABLE
 
-
-class SingularityError(PositionerError):
+class SingularityError(PositionerError, code=Code.SINGULARITY):
     """A motion would lead into or through a singularity."""
 
-    code = Code.SINGULARITY
 
-
-class StaleJointsError(PositionerError):
+class StaleJointsError(PositionerError, code=Code.STALE_JOINTS):
     """No joint state, or too old a one, to start a motion from."""
 
-    code = Code.STALE_JOINTS
 
-
-class StaleTargetError(PositionerError):
+class StaleTargetError(PositionerError, code=Code.STALE_TARGET):
     """A target whose stamp is too old to act on."""
 
-    code = Code.STALE_TARGET
 
-
-class NotAtRestError(PositionerError):
+class NotAtRestError(PositionerError, code=Code.DRIVER_DEVIATION):
     """The arm still moves by itself: a stream of setpoints cannot start from there without a jump."""
 
-    code = Code.DRIVER_DEVIATION
 
-
-class PausedError(PositionerError):
+class PausedError(PositionerError, code=Code.PAUSED):
     """Nothing moves while the arm is paused or the node shuts down."""
 
-    code = Code.PAUSED
+
+class SupersededError(PositionerError, code=Code.STOPPED):
+    """A newer order, or a stop, came before this one could begin."""

@@ -73,13 +73,19 @@ class InverseKinematics:
         self._is_revolute = np.linalg.norm(kinematics.jacobian(middle)[3:], axis=0) > 0.5
         self._speed = np.where(np.isfinite(kinematics.max_velocity), kinematics.max_velocity, 1.0)
 
-    def nearby(self, base_from_tip: Array, current: ArrayLike) -> Solution:
-        """Return the solution that the search reaches from ``current`` (n,) alone: the one for following.
+    def nearby(self, base_from_tip: Array, start: ArrayLike, current: ArrayLike | None = None) -> Solution:
+        """Return the solution that the search reaches from ``start`` (n,) alone: the one for following.
+
+        Full turns are chosen to lie near the ``current`` joint positions (n,) where those are given.
 
         Raises UnreachableError with the residual that remains.
         """
-        current = np.clip(np.asarray(current, dtype=np.float64), self._lower, self._upper)
-        solution = self._measure(self._descend(base_from_tip, current), base_from_tip, current)
+        start = np.clip(np.asarray(start, dtype=np.float64), self._lower, self._upper)
+        q = self._descend(base_from_tip, start)
+        if current is not None:
+            current = np.asarray(current, dtype=np.float64)
+            q = self._towards(q, current)
+        solution = self._measure(q, base_from_tip, start if current is None else current)
         if not self._solves(solution):
             raise UnreachableError(self._complaint(base_from_tip, solution))
         return solution

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
@@ -24,7 +25,7 @@ from arm_positioner.ros.action import PositionArmServer
 from arm_positioner.ros.commands import Commands, ForwardPosition, Trajectories
 from arm_positioner.ros.complaints import Complaints
 from arm_positioner.ros.conversions import markers, stamped
-from arm_positioner.ros.polled import PolledSubscription
+from arm_positioner.ros.joints import JointInput
 from arm_positioner.ros.scene import Scene
 from arm_positioner.servo import ServoGate
 from arm_positioner.setpoint_loop import SetpointLoop, raise_priority
@@ -64,7 +65,7 @@ class PositionerNode(Node):
         self._diagnostics = Diagnostics(self)
         self._watch = InputWatch(self)
         self._subscribe(String, "robot_description", self._on_description, LATCHED)
-        self._joints = PolledSubscription(self, JointState, "joint_states", JOINT_STATES)
+        self._joints = JointInput(self, self._scene, self._complaints, self._diagnostics, self._watch.seen)
         self._watch.expect("joint_states", JointState, JOINT_STATES)
         self._subscribe(PointCloud2, "points", self._on_cloud, STREAM_SUBSCRIBE)
         group = ReentrantCallbackGroup()
@@ -100,17 +101,7 @@ class PositionerNode(Node):
         s = self._settings
         try:
             arms = [Kinematics(message.data, s.base_frame, s.flange_frame) for _ in range(3)]
-            arm = arms[0]
-            joint_limits = limits.from_urdf(
-                arm.joint_names,
-                arm.lower,
-                arm.upper,
-                arm.max_velocity,
-                velocity_scale=s.velocity_scale,
-                max_velocity=s.max_velocity,
-                max_acceleration=s.max_acceleration,
-                max_jerk=s.max_jerk,
-            )
+            arm, joint_limits = arms[0], parameters.joint_limits(arms[0], s)
             order = limits.command_order(arm.joint_names, s.joints)
         except StructuredLightError as error:
             self.get_logger().error(f"robot_description not used: {error}")
@@ -137,8 +128,7 @@ class PositionerNode(Node):
         """One control period, in the setpoint thread."""
         supervisor, commands = self._require_supervisor(), self._commands
         assert commands is not None
-        for message in self._joints.take():
-            self._on_joints(supervisor, message)
+        self._joints.take(supervisor, tolerance=self._settings.watch.joint_timeout)
         for _ in range(commands.periods(moving=supervisor.is_moving)):
             setpoint = supervisor.tick()
             if setpoint is not None:
@@ -148,22 +138,6 @@ class PositionerNode(Node):
             if supervisor.code >= Code.STALE_JOINTS or supervisor.code is Code.STOPPED:
                 self._gate.close()
             self._publish_status()
-
-    def _on_joints(self, supervisor: Supervisor, message: JointState) -> None:
-        try:
-            positions = supervisor.positions_from(message.name, message.position)
-            stamp = to_ns(message.header.stamp)
-            age = 1e-9 * (self.get_clock().now().nanoseconds - stamp)
-            if age < -self._settings.watch.joint_timeout:
-                raise InvalidGoalError(f"joint state is stamped {-age:.3f} s in the future: synchronise the clocks")
-            self._scene.add_joints(stamp, positions)
-        except StructuredLightError as error:
-            self._complaints.warn(f"joint_states not used: {error}")
-            self._diagnostics.set("joint_states", str(error))
-            return
-        supervisor.joint_state(time.monotonic() - max(age, 0.0), positions)
-        self._watch.seen("joint_states")
-        self._diagnostics.tick("joint_states")
 
     def _on_cloud(self, message: PointCloud2) -> None:
         self._watch.seen("points")
@@ -188,6 +162,7 @@ class PositionerNode(Node):
                 raise InvalidGoalError("a goal of ~/position_arm is running")
             else:
                 self._gate.close()  # until this succeeds
+                self._scene.reset()
                 supervisor.begin(Kind.SERVO, target)
                 self._gate.open()
         except StructuredLightError as error:
@@ -223,6 +198,11 @@ class PositionerNode(Node):
                 self._diagnostics.set(f"setpoint {key}", value)
             if self._loop.failure is not None:
                 self.get_logger().error(f"setpoints have ended: {self._loop.failure!r}; restart the node")
+                if supervisor is not None:
+                    supervisor.fail("setpoints have ended by a defect; restart the node")
+        if self._scene.seen is not None:
+            sigma = np.degrees(self._scene.seen.surface.normal_sigma)
+            self._diagnostics.set("surface normal known to [deg]", f"{sigma:.2f}")
 
     def _publish_status(self) -> None:
         status, supervisor = PositionerStatus(), self._supervisor

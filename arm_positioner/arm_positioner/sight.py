@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_positioner.errors import ObjectGoneError
 from arm_positioner.following import TargetFilter
 from arm_positioner.target import Target, TargetOptions, find_target
 from sl_common import transforms
@@ -66,27 +67,45 @@ class Sight:
     def look(self, sighting: Sighting, options: TargetOptions, *, anchor: Array | None = None) -> Target:
         """Return the target in a cloud, as it is; see :func:`.target.find_target` for ``anchor`` and errors.
 
-        The place on the object, chosen in the first cloud, stays where it is against the object's middle.
+        The place on the object, chosen in the first cloud, stays where it is against the object's middle. Where the
+        object of an earlier goal is gone, a new goal takes the nearest one.
         """
         with self._lock:
             previous, offset = self._latest, self._offset
-        target = self._find(
-            sighting.points,
-            sighting.base_from_camera,
-            confidence=sighting.confidence,
-            row=sighting.row,
-            col=sighting.col,
-            options=options,
-            previous=None if previous is None else previous.surface.point,
-            anchor=anchor,
-            offset=offset,
-        )
+        try:
+            target = self._find_in(
+                sighting, options, None if previous is None else previous.surface.point, anchor, offset
+            )
+        except ObjectGoneError:
+            if offset is not None or anchor is not None:
+                raise
+            target = self._find_in(sighting, options, None, None, None)
         with self._lock:
             self._latest = target
             if offset is None or anchor is not None:
                 self._offset = target.surface.point - target.middle
             self._filter.update(sighting.time, target.base_from_camera)
         return target
+
+    def _find_in(
+        self,
+        sighting: Sighting,
+        options: TargetOptions,
+        previous: Array | None,
+        anchor: Array | None,
+        offset: Array | None,
+    ) -> Target:
+        return self._find(
+            sighting.points,
+            sighting.base_from_camera,
+            confidence=sighting.confidence,
+            row=sighting.row,
+            col=sighting.col,
+            options=options,
+            previous=previous,
+            anchor=anchor,
+            offset=offset,
+        )
 
     def expected(self, time: float) -> Array:
         """Return the smoothed target pose (4, 4) expected at ``time`` [s]."""

@@ -8,24 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_positioner import watchdog
-from arm_positioner.errors import Code, InvalidGoalError, NotAtRestError, PausedError, PositionerError, StaleJointsError
+from arm_positioner.errors import Code, InvalidGoalError, PausedError, PositionerError, SupersededError
 from arm_positioner.limits import JointLimits
-from arm_positioner.measurement import CommandHistory, MeasuredJoints
+from arm_positioner.measured_arm import MeasuredArm
+from arm_positioner.measurement import CommandHistory
+from arm_positioner.pace import Pace
 from arm_positioner.planning import Planner, require_regular_motion
-from arm_positioner.singularity import SingularityWatch, condition_number
+from arm_positioner.starting import StreamStart
 from arm_positioner.stream import SetpointStream
 from arm_positioner.task import Kind, Outcome, Task
 from arm_positioner.trajectory import MotionState, Trajectory
 from arm_positioner.watchdog import WatchOptions
-from sl_common import transforms
 from sl_common.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 
 _LOOK_AHEAD = 0.15
 """How far ahead on the trajectory the condition number is looked at [s]: about the time it takes to slow down."""
-_SPEED_STEP = 1.25
-"""Ratio by which the speed factor near a singularity has to change before the motion is planned anew."""
 
 
 class Supervisor:
@@ -34,7 +33,7 @@ class Supervisor:
     All methods may be called from any thread. Times are of one monotonic clock [s]; stamps are converted to it.
 
     Attributes:
-        flange_from_camera: (4, 4) hand-eye transform [m].
+        arm: The arm as measured, with the hand-eye transform.
         code: Status code.
         message: One sentence with the numbers.
     """
@@ -51,33 +50,55 @@ class Supervisor:
     ) -> None:
         """Use ``kinematics`` and ``planner`` (with another kinematics) exclusively; a setpoint every ``period`` [s]."""
         self.options = options or WatchOptions()
-        self.flange_from_camera = transforms.identity()
         self.code, self.message = Code.IDLE, "at rest, no target yet"
-        self._kinematics, self._planner = kinematics, planner
+        self.arm = MeasuredArm(kinematics, rest_motion=self.options.rest_motion)
+        self._planner = planner
         self._stream = SetpointStream(limits, period)
-        self._measured = MeasuredJoints(rest_motion=self.options.rest_motion)
         self._commands = CommandHistory(self.options.driver_lag)
+        self._start = StreamStart(self._stream, self.arm.joints, self._commands, self.options)
+        self._pace = Pace(self.options.thresholds, self.arm.conditioning.at)
         self._clock = clock
         self._lock = threading.RLock()
         self._planning_lock = threading.Lock()
         self._task: Task | None = None
         self._ending: Outcome | None = None
         self._paused = self._closed = False
-        self._settled: Array | None = None  # measured joints once the last motion had come to rest
-        self._last_setpoint: float | None = None
-        self._watch = SingularityWatch(self.options.thresholds)
-        self._speed = 1.0
+        self._order = 0
+
+    @property
+    def flange_from_camera(self) -> Array:
+        """The hand-eye transform (4, 4) [m]."""
+        return self.arm.flange_from_camera
+
+    @flange_from_camera.setter
+    def flange_from_camera(self, transform: Array) -> None:
+        self.arm.flange_from_camera = transform
 
     def positions_from(self, names: Sequence[str], positions: Sequence[float]) -> Array:
         """Return the arm's positions (n,) out of a joint state; see :meth:`Kinematics.positions_from`."""
-        return self._kinematics.positions_from(names, positions)
+        return self.arm.positions_from(names, positions)
 
     def joint_state(self, time: float, positions: Array) -> None:
         """Take joint positions (n,) measured at ``time`` [s]."""
         with self._lock:
-            self._measured.add(time, positions)
+            self.arm.joints.add(time, positions)
 
-    def begin(self, kind: Kind, target: Array, *, duration: float = 0.0, follow: bool = False) -> Task:
+    def order(self) -> int:
+        """Return the number of a new order: orders before it that wait for something do not begin any more."""
+        with self._lock:
+            self._order += 1
+            return self._order
+
+    def begin(
+        self,
+        kind: Kind,
+        target: Array,
+        *,
+        duration: float = 0.0,
+        follow: bool = False,
+        free_roll: bool = False,
+        order: int | None = None,
+    ) -> Task:
         """Start moving the camera to ``target`` (4, 4 base_from_camera), replacing the task that runs.
 
         Args:
@@ -85,30 +106,35 @@ class Supervisor:
             target: Wanted camera pose [m].
             duration: Least duration of the motion [s].
             follow: Keep the task until it is cancelled; :meth:`retarget` moves its target.
+            free_roll: The camera may be turned about its optical axis to keep clear of singularities; the task's target
+                says by how much it is.
+            order: From :meth:`order`; None: a new one.
 
-        Raises PositionerError, and nothing changes: no joint states, arm not at rest, paused, unreachable and so on.
+        Raises PositionerError, and nothing changes: no joint states, arm not at rest, paused, unreachable, a newer
+        order or a stop since ``order`` was given, and so on.
         """
         if not (np.isfinite(duration) and duration >= 0):
             raise InvalidGoalError(f"duration {duration:g} s must be zero or positive")
+        order = self.order() if order is None else order
         with self._planning_lock:
             with self._lock:
-                self._require_ready()
-                self._ensure_started()
+                self._require_ready(order)
+                self._start.ensure(self._clock())
                 assert self._stream.state is not None
                 current = self._stream.state.position
-            solution, _ = self._planner.choose(
-                target, self.flange_from_camera, current, lambda q: self._preview(q, duration)
+            plan = self._planner.choose(
+                target, self.flange_from_camera, current, lambda q: self._preview(q, duration), free_roll=free_roll
             )
             with self._lock:
-                self._require_ready()
-                motion = self._stream.move(solution.positions, duration=duration)
+                self._require_ready(order)
+                motion = self._stream.move(plan.positions, duration=duration)
                 if self._task is not None:
                     self._task.finish(Outcome(Code.STOPPED, "replaced by a new target"))
-                self._task = Task(kind, target, solution.positions, follow=follow, time=self._clock())
+                self._task = Task(kind, plan.base_from_camera, plan.positions, follow=follow, time=self._clock())
                 if kind is not Kind.SERVO:
                     self._task.arrive_at = self._clock() + motion.duration
-                self._ending, self._speed = None, 1.0
-                self._watch = SingularityWatch(self.options.thresholds)
+                self._ending = None
+                self._pace.restart()
                 self._report_moving(self._task)
                 return self._task
 
@@ -125,7 +151,7 @@ class Supervisor:
                 goal = task.goal
                 if task.held is not None and not self._stream.is_moving:
                     try:
-                        self._ensure_started()
+                        self._start.ensure(self._clock())
                     except PositionerError as error:
                         self._end(Outcome(error.code, str(error)))
                         return
@@ -134,7 +160,9 @@ class Supervisor:
                 with self._lock:
                     if task is not self._task or self._ending is not None or self._paused:
                         return
-                    self._stream.move(positions, duration=max(task.arrive_at - self._clock(), 0.0), speed=self._speed)
+                    self._stream.move(
+                        positions, duration=max(task.arrive_at - self._clock(), 0.0), speed=self._pace.speed
+                    )
                     task.goal, task.target, task.rest_since, task.held = positions, target, None, None
                     self._report_moving(task)
             except PositionerError as error:
@@ -179,6 +207,7 @@ class Supervisor:
     def stop(self, reason: str = "stopped by ~/stop") -> str:
         """Bring the arm to rest and end the task; returns what happens."""
         with self._lock:
+            self._order += 1  # a goal that still waits for a cloud must not begin after a stop
             self._paused = False
             self._end(Outcome(Code.STOPPED, reason))
             return self.message
@@ -189,16 +218,25 @@ class Supervisor:
             self._closed = True
             self.stop(reason)
 
+    def fail(self, reason: str) -> None:
+        """End everything at once: no setpoint will leave any more."""
+        with self._lock:
+            self._closed = True
+            self._finish(Outcome(Code.INVALID_INPUT, reason))
+
     def tick(self) -> MotionState | None:
         """Advance by one control period and return the setpoint to send; None at rest."""
         now = self._clock()
         with self._lock:
             if self._task is not None and self._ending is None and not self._paused:
-                self._check(self._task, now)
+                try:
+                    self._check(self._task, now)
+                except Exception as error:  # a defect in what watches must not break off the stream in mid-motion
+                    self._end(Outcome(Code.INVALID_INPUT, f"the watch failed: {error!r}"))
             setpoint = self._stream.advance()
             if setpoint is not None:
                 self._commands.add(now, setpoint.position)
-                self._last_setpoint, self._settled = now, None
+                self._start.sent(now)
             if self._stream.fault and self._ending is None and self._task is not None:
                 self._end(Outcome(Code.INVALID_INPUT, f"setpoint held back: {self._stream.fault}"))
             if not self._stream.is_moving:
@@ -233,28 +271,22 @@ class Supervisor:
     def camera_pose(self) -> Array | None:
         """Return base_from_camera (4, 4) by the newest joint state [m]; None: none yet."""
         with self._lock:
-            if self._measured.newest is None:
-                return None
-            return self._kinematics.forward(self._measured.newest) @ self.flange_from_camera
+            return self.arm.camera_pose()
 
     def condition(self) -> float:
         """Return the condition number at the newest joint state; NaN: none yet."""
         with self._lock:
-            q = self._measured.newest
-            return float(condition_number(self._kinematics.jacobian(q))) if q is not None else float("nan")
+            return self.arm.condition()
 
     def error(self, task: Task) -> tuple[float, float]:
         """Return the distance [m] and angle [rad] from the measured camera pose to a task's target; NaN: not known."""
-        pose = self.camera_pose()
-        if pose is None:
-            return float("nan"), float("nan")
-        delta = transforms.difference(pose, task.target)
-        return float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:]))
+        with self._lock:
+            return self.arm.error(task.target)
 
     def _check(self, task: Task, now: float) -> None:
         """Compare everything that is watched with its limits; end or hold the task."""
         options = self.options
-        problem = watchdog.stale_joints(now - self._measured.newest_time, options) or self._deviation()
+        problem = watchdog.stale_joints(now - self.arm.joints.newest_time, options) or self._deviation()
         if problem is None and self._stream.is_moving:
             problem = watchdog.stale_target(task, now, options)
         if problem := problem or watchdog.waited_too_long(task, now, options):
@@ -265,43 +297,42 @@ class Supervisor:
             self._check_singularity(task)
 
     def _deviation(self) -> Outcome | None:
-        measured = self._measured.newest
+        measured = self.arm.joints.newest
         if measured is None:
             return None
-        off = self._commands.deviation(self._measured.newest_time, measured)
+        off = self._commands.deviation(self.arm.joints.newest_time, measured)
         return watchdog.deviation(off, self._stream.limits.names, self.options)
 
     def _check_singularity(self, task: Task) -> None:
         ahead = self._stream.ahead(_LOOK_AHEAD)
         assert ahead is not None
-        thresholds = self.options.thresholds
-        condition = float(condition_number(self._kinematics.jacobian(ahead.position)))
-        if not self._watch.allows(condition):
+        condition, allowed = self._pace.look(ahead.position)
+        if not allowed:
+            outcome = watchdog.singular(condition, self.options)
             if task.tracks:
-                self._hold(task, watchdog.singular(condition, self.options))
-                self._watch = SingularityWatch(thresholds)
+                self._hold(task, outcome)
+                self._pace.forget()
             else:
-                self._end(watchdog.singular(condition, self.options))
+                self._end(outcome)
             return
-        speed = thresholds.speed(condition)
-        ratio = speed / self._speed
-        if not (ratio < 1 / _SPEED_STEP or ratio > _SPEED_STEP or (speed == 1.0 and ratio != 1.0)):
+        speed = self._pace.change(condition)
+        if speed is None:
             return
         try:
-            self._stream.move(task.goal, duration=self._stream.remaining if ratio < 1 else 0.0, speed=speed)
+            slower = speed < self._pace.speed
+            self._stream.move(task.goal, duration=self._stream.remaining if slower else 0.0, speed=speed)
         except PositionerError:
             return  # the present motion goes on; it is within all limits too
-        self._speed = speed
+        self._pace.speed = speed
         if speed < 1.0:
             reason = f"slowed down to {100 * speed:.0f} %: condition number {condition:.0f}"
-            self._report(Code.SINGULARITY, f"{reason}, stop at {thresholds.stop:.0f}")
+            self._report(Code.SINGULARITY, f"{reason}, stop at {self.options.thresholds.stop:.0f}")
         else:
             self._report_moving(task)
 
     def _at_rest(self, now: float) -> None:
         """Draw the conclusions once no setpoint is left to send."""
-        if self._settled is None and self._last_setpoint is not None:
-            self._settled = self._measured.rest_position(since=self._last_setpoint)
+        self._start.settle()
         if self._ending is not None:
             ending, self._ending = self._ending, None
             self._finish(Outcome(ending.code, f"{ending.message}; at rest"))
@@ -318,7 +349,7 @@ class Supervisor:
         distance, angle = self.error(task)
         numbers = f"{1e3 * distance:.2f} mm and {np.degrees(angle):.3f} deg from the target"
         near = distance <= options.position_tolerance and angle <= options.orientation_tolerance
-        arrived = near and self._settled is not None
+        arrived = near and self._start.settled is not None
         if task.follow:
             self._report(Code.FOLLOWING, f"following, {numbers}")
         elif arrived and task.kind is Kind.SERVO and now - task.target_time <= options.target_timeout:
@@ -361,66 +392,31 @@ class Supervisor:
     def _resume(self, task: Task) -> None:
         """Go on to the goal of a task that was paused or held."""
         try:
-            self._ensure_started()
-            thresholds = self.options.thresholds
+            self._start.ensure(self._clock())
             preview = self._stream.preview(task.goal, duration=task.remaining)
-            require_regular_motion(self._kinematics, preview, thresholds)
+            require_regular_motion(self.arm.conditioning, preview, self.options.thresholds)
             task.arrive_at = self._clock() + self._stream.move(task.goal, duration=task.remaining).duration
         except PositionerError as error:
             self._end(Outcome(error.code, f"cannot go on: {error}"))
             return
-        task.held, task.rest_since, self._speed = None, None, 1.0
-        self._watch = SingularityWatch(thresholds)
+        task.held, task.rest_since = None, None
+        self._pace.restart()
         self._report_moving(task)
 
-    def _require_ready(self) -> None:
+    def _require_ready(self, order: int) -> None:
         if self._closed:
             raise PausedError("refused: the node is shutting down")
+        if order != self._order:
+            raise SupersededError("not begun: a newer order or ~/stop came first")
         if self._paused:
             raise PausedError("refused: paused; call ~/pause with data: false first")
-
-    def _ensure_started(self) -> None:
-        """Let the stream continue its last setpoint, or start from the measured joints where there is none."""
-        now = self._clock()
-        if stale := watchdog.stale_joints(now - self._measured.newest_time, self.options):
-            raise StaleJointsError(f"refused: {stale.message}; check joint_states")
-        if self._stream.is_moving or (self._settled is None and self._is_settling(now)):
-            return
-        position = self._measured.rest_position()
-        if position is None:
-            motion = self._measured.motion()
-            if motion is None:
-                raise NotAtRestError("refused: too few joint states yet to tell whether the arm is at rest")
-            i = int(np.argmax(motion))
-            raise NotAtRestError(
-                f"refused: joint {self._stream.limits.names[i]} moved by {motion[i]:.4f} within 0.1 s, limit "
-                f"{self.options.rest_motion:g}; wait until the arm is at rest"
-            )
-        if self._stream.fault or not self._is_untouched(position):
-            self._stream.start(position)
-            self._commands.clear()
-            self._commands.add(now, position)
-
-    def _is_settling(self, now: float) -> bool:
-        """Whether the last setpoint left so recently that the arm may still be on its way there."""
-        return self._last_setpoint is not None and now - self._last_setpoint < self.options.driver_lag
-
-    def _is_untouched(self, position: Array) -> bool:
-        """Whether the arm still stands where the last motion left it, or nearer to the last setpoint."""
-        if self._stream.state is None or self._settled is None:
-            return False
-        commanded = self._stream.state.position
-        moved = np.abs(position - self._settled)
-        nearer = np.abs(position - commanded) <= np.abs(self._settled - commanded)
-        follows = np.abs(position - commanded) <= self.options.deviation
-        return bool((((moved <= self.options.drift) | nearer) & follows).all())
 
     def _preview(self, positions: Array, duration: float) -> Trajectory:
         with self._lock:
             return self._stream.preview(positions, duration=duration)
 
     def _report_moving(self, task: Task) -> None:
-        if self._speed == 1.0:
+        if self._pace.speed == 1.0:
             doing, code = ("following", Code.FOLLOWING) if task.follow else ("moving to", Code.MOVING)
             self._report(code, f"{doing} the target, at rest in {self._stream.remaining:.2f} s")
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_positioner import segmentation
-from arm_positioner.errors import InvalidGoalError, TargetError
+from arm_positioner.errors import InvalidGoalError, ObjectGoneError, TargetError
 from arm_positioner.surface import FitOptions, SurfacePatch, fit_patch
 from sl_common import transforms
 
@@ -139,10 +139,10 @@ def find_target(
 
 
 def _require_near(points: Array, previous: Array, limit: float) -> None:
-    """Raise TargetError where no point of a patch (N, 3) is near where the object was."""
+    """Raise ObjectGoneError where no point of a patch (N, 3) is near where the object was."""
     distance = float(np.linalg.norm(points - previous, axis=1).min())
     if distance > limit:
-        raise TargetError(
+        raise ObjectGoneError(
             f"the object is gone: the nearest patch is {1e3 * distance:.0f} mm from where it was seen before, limit "
             f"{1e3 * limit:.0f} mm"
         )

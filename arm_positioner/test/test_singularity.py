@@ -5,10 +5,10 @@ from positioner_robots import HOME, kinematics
 from arm_positioner.errors import SingularityError
 from arm_positioner.planning import require_regular
 from arm_positioner.singularity import (
+    Conditioning,
     SingularityThresholds,
     SingularityWatch,
     condition_number,
-    conditions_along,
     first_violation,
 )
 
@@ -29,15 +29,15 @@ def test_speed_falls_linearly_between_the_thresholds():
 
 
 def test_the_wrist_of_the_six_axis_arm_is_singular_when_straight():
-    arm = kinematics("six")
+    conditioning = Conditioning(kinematics("six"))
     path = np.linspace(HOME["six"], np.where(np.arange(6) == 4, 0.0, HOME["six"]), 20)
-    conditions = conditions_along(arm, path)
+    conditions = conditioning.along(path)
     assert conditions[0] < 20
     assert conditions[-1] > 1e6
     assert first_violation(conditions, LIMITS) > 10
     with pytest.raises(SingularityError, match=r"along the way the condition number is (\d+|inf), limit 100"):
-        require_regular(arm, path, LIMITS)
-    assert require_regular(arm, path[:10], LIMITS) < 100
+        require_regular(conditioning, path, LIMITS)
+    assert require_regular(conditioning, path[:10], LIMITS) < 100
 
 
 def test_leaving_is_allowed_returning_is_not():

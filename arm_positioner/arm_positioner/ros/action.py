@@ -11,12 +11,20 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from arm_positioner.errors import Code, InvalidGoalError, NotAtRestError, PositionerError, StaleJointsError, TargetError
+from arm_positioner.errors import (
+    Code,
+    InvalidGoalError,
+    NotAtRestError,
+    PositionerError,
+    StaleJointsError,
+    SupersededError,
+)
 from arm_positioner.ros.conversions import stamped
 from arm_positioner.ros.parameters import Settings
 from arm_positioner.ros.scene import Scene
 from arm_positioner.sight import nearly_equal
 from arm_positioner.supervisor import Supervisor
+from arm_positioner.surface import SurfacePatch
 from arm_positioner.target import TargetOptions
 from arm_positioner.task import Kind, Outcome, Task
 from sl_common.errors import StructuredLightError
@@ -49,7 +57,7 @@ class PositionArmServer:
         result = PositionArm.Result(position_error=float("nan"), orientation_error=float("nan"))
         try:
             supervisor = self._supervisor()
-            outcome, task = self._run(supervisor, goal)
+            outcome, task = self._run(supervisor, goal, supervisor.order())
             if task is not None:
                 result.position_error, result.orientation_error = supervisor.error(task)
                 now = self._node.get_clock().now().nanoseconds
@@ -71,33 +79,54 @@ class PositionArmServer:
             goal.abort()
         return result
 
-    def _run(self, supervisor: Supervisor, goal: ServerGoalHandle) -> tuple[Outcome, Task | None]:
+    def _run(self, supervisor: Supervisor, goal: ServerGoalHandle, order: int) -> tuple[Outcome, Task | None]:
         request = goal.request
         if request.use_goal_pose:
+            self._scene.reset()
             target = self._scene.base_from_goal(request.goal_pose)
-            task = self._begin(supervisor, goal, Kind.POSE, target)
+            task = self._begin(supervisor, goal, order, Kind.POSE, target)
             return self._await(supervisor, goal, task), task
         options = self._options(request.standoff)
-        self._scene.reset()
+        self._scene.choose_anew()
         seen = self._scene.look(options, self._settings.goal_timeout)
-        task = self._begin(supervisor, goal, Kind.OBJECT, seen.base_from_camera, follow=request.follow)
+        task = self._begin(
+            supervisor,
+            goal,
+            order,
+            Kind.OBJECT,
+            seen.base_from_camera,
+            follow=request.follow,
+            free_roll=self._settings.free_roll,
+        )
         with self._scene.tracking(task, options):
             outcome = self._await(supervisor, goal, task)
-        anchor = seen.surface.point
+        surface = seen.surface
         for _ in range(self._settings.refinements):
             if outcome.code is not Code.REACHED or goal.is_cancel_requested:
                 break
             try:
-                better = self._scene.look(options, self._settings.watch.cloud_timeout, anchor=anchor)
-            except TargetError as error:
+                better = self._scene.look(options, self._settings.watch.cloud_timeout, anchor=seen.surface.point)
+                surface = better.surface
+                if nearly_equal(better.base_from_camera, task.target):
+                    break
+                task = self._begin(supervisor, goal, order, Kind.OBJECT, better.base_from_camera, duration=1.0)
+            except PositionerError as error:
                 self._node.get_logger().info(f"target kept, no second look: {error}")
                 break
-            if nearly_equal(better.base_from_camera, task.target):
-                break
-            task = self._begin(supervisor, goal, Kind.OBJECT, better.base_from_camera, duration=1.0)
             with self._scene.tracking(task, options):
                 outcome = self._await(supervisor, goal, task)
-        return outcome, task
+        return self._with_certainty(outcome, surface), task
+
+    def _with_certainty(self, outcome: Outcome, surface: SurfacePatch) -> Outcome:
+        """Say how well the surface normal was known, and warn where that is not enough."""
+        if outcome.code is not Code.REACHED:
+            return outcome
+        sigma, limit = surface.normal_sigma, self._settings.doubtful_normal_sigma
+        text = f"surface normal known to {np.degrees(sigma):.2f} deg"
+        if sigma > limit:
+            text += f", more than {np.degrees(limit):.2f} deg: it bends or is seen by too few dots there"
+            self._node.get_logger().warning(text)
+        return Outcome(outcome.code, f"{outcome.message}; {text}")
 
     def _options(self, standoff: float) -> TargetOptions:
         if not np.isfinite(standoff) or standoff < 0:
@@ -109,20 +138,24 @@ class PositionArmServer:
         self,
         supervisor: Supervisor,
         goal: ServerGoalHandle,
+        order: int,
         kind: Kind,
         target: Array,
         *,
         follow: bool = False,
+        free_roll: bool = False,
         duration: float | None = None,
     ) -> Task:
         """Begin a motion, waiting a while for joint states and for an arm that still moves by itself."""
         asked = (goal.request.duration or self._settings.duration) if duration is None else duration
         deadline = time.monotonic() + self._settings.goal_timeout
         while True:
+            if goal.is_cancel_requested:
+                raise SupersededError("goal cancelled before it began")
             try:
-                return supervisor.begin(kind, target, duration=asked, follow=follow)
+                return supervisor.begin(kind, target, duration=asked, follow=follow, free_roll=free_roll, order=order)
             except (NotAtRestError, StaleJointsError):
-                if time.monotonic() > deadline or goal.is_cancel_requested:
+                if time.monotonic() > deadline:
                     raise
                 time.sleep(0.02)
 

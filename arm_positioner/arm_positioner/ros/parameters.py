@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 from rclpy.node import Node
 
+from arm_positioner import limits
 from arm_positioner.errors import InvalidGoalError
+from arm_positioner.limits import JointLimits
 from arm_positioner.singularity import SingularityThresholds
 from arm_positioner.surface import FitOptions
 from arm_positioner.target import TargetOptions
 from arm_positioner.watchdog import WatchOptions
+from sl_common.kinematics import Kinematics
 from sl_common.ros.parameters import declare
 
 FORWARD_POSITION, JOINT_TRAJECTORY = "forward_position", "joint_trajectory"
@@ -35,6 +38,8 @@ class Settings:
     goal_timeout: float
     refinements: int
     follow_smoothing: float
+    free_roll: bool
+    doubtful_normal_sigma: float
     target: TargetOptions
     watch: WatchOptions
 
@@ -56,7 +61,7 @@ def read(node: Node) -> Settings:
         "forward_position: Float64MultiArray on 'commands'; joint_trajectory: JointTrajectory on 'joint_trajectory'",
         choices=(FORWARD_POSITION, JOINT_TRAJECTORY),
     )
-    text = "singularity: condition number of the Jacobian"
+    text = "singularity: condition number of the Jacobian, lengths in units of the arm's own"
     thresholds = SingularityThresholds(
         slow=number("condition_slow", 40.0, f"{text} past which the arm slows down", "1", 1.0),
         stop=number("condition_stop", 100.0, f"{text} past which it stops", "1", 1.0),
@@ -65,6 +70,7 @@ def read(node: Node) -> Settings:
         raise InvalidGoalError(
             f"parameter condition_slow {thresholds.slow:g} must be below condition_stop {thresholds.stop:g}"
         )
+    free_roll, roll = _roll(node)
     return Settings(
         joints=tuple(j for j in joints if j),
         base_frame=declare(node, "base_frame", "base_link", "frame of goals, targets and status"),
@@ -94,19 +100,27 @@ def read(node: Node) -> Settings:
             maximum=10,
         ),
         follow_smoothing=number("follow_smoothing", 0.15, "memory of the filter on a followed target", "s", 0.0, 5.0),
+        free_roll=free_roll,
+        doubtful_normal_sigma=number(
+            "doubtful_normal_sigma", 0.01, "uncertainty of the normal past which the result warns", "rad", 1e-6
+        ),
         target=TargetOptions(
             standoff=number("standoff", 0.3, "distance of the camera from the surface", "m", 0.01, 10.0),
-            roll=_roll(node),
+            roll=roll,
             min_confidence=number("min_confidence", 0.0, "points below it are ignored", "1", 0.0, 1.0),
             min_object_points=declare(
                 node, "min_object_points", 20, "patches with fewer points are no objects", minimum=6
             ),
+            max_jump=number("max_jump", 0.1, "distance past which a patch is not the object seen before", "m", 1e-3),
             fit=FitOptions(
                 max_rms=number(
                     "max_fit_rms", 0.005, "RMS of the surface fit past which no target is derived", "m", 1e-6
                 ),
                 max_normal_sigma=number(
                     "max_normal_sigma", 0.05, "uncertainty of the normal past which no target is derived", "rad", 1e-6
+                ),
+                place_sigma=number(
+                    "place_sigma", 0.0005, "error that all points have in common, such as the calibration's", "m"
                 ),
             ),
         ),
@@ -131,15 +145,31 @@ def read(node: Node) -> Settings:
     )
 
 
-def _roll(node: Node) -> float | None:
+def joint_limits(arm: Kinematics, settings: Settings) -> JointLimits:
+    """Return the limits of an arm that the parameters leave of its URDF's; raises InvalidGoalError for bad ones."""
+    return limits.from_urdf(
+        arm.joint_names,
+        arm.lower,
+        arm.upper,
+        arm.max_velocity,
+        velocity_scale=settings.velocity_scale,
+        max_velocity=settings.max_velocity,
+        max_acceleration=settings.max_acceleration,
+        max_jerk=settings.max_jerk,
+    )
+
+
+def _roll(node: Node) -> tuple[bool, float | None]:
+    """Return whether the roll may be chosen for the arm's sake, and the roll where it is fixed."""
     mode = declare(
         node,
         "roll_mode",
-        "least_rotation",
-        "least_rotation: turn the camera as little as possible; fixed: parameter roll",
-        choices=("least_rotation", "fixed"),
+        "free",
+        "free: turn the camera as little as possible, more to keep clear of singularities and joint limits; "
+        "least_rotation: as little as possible; fixed: parameter roll",
+        choices=("free", "least_rotation", "fixed"),
     )
     roll = declare(
         node, "roll", 0.0, "angle of the image about the optical axis, 0 upright (roll_mode fixed)", unit="rad"
     )
-    return roll if mode == "fixed" else None
+    return mode == "free", roll if mode == "fixed" else None

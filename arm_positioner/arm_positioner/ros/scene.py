@@ -68,8 +68,12 @@ class Scene:
         return self._sight.latest
 
     def reset(self) -> None:
-        """Forget the object."""
+        """Forget the object: the next goal takes the nearest one."""
         self._sight.reset()
+
+    def choose_anew(self) -> None:
+        """Keep the object but choose the place on it anew."""
+        self._sight.choose_anew()
 
     def add_joints(self, stamp_ns: int, positions: Array) -> None:
         """Keep joint positions for pairing by stamp."""
