@@ -1,12 +1,13 @@
 """Known truth for the grid calibrations: views of a board, corners in camera and projector, photographs of Gray
 code."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import cv2
 import numpy as np
 
+from pattern_gen import Pattern, default_pattern
 from pattern_gen.gray_code import Arrangement, Axis, bit_count, code_frame
 from sl_calibration.chessboard import Board
 from sl_common import transforms
@@ -102,23 +103,54 @@ def gray_capture(
 ) -> list[np.ndarray]:
     """Photographs (uint8) of the whole sequence on the board: bits and inverses, columns then rows, white, black."""
     rng = np.random.default_rng(seed)
-    albedo = board_albedo(camera, camera_from_board, board)
+    albedo, place = lit_board(
+        camera_from_board, board=board, camera=camera, projector=projector, projector_from_camera=projector_from_camera
+    )
+    size = (projector.width, projector.height)
+    frames = [
+        code_frame(*size, axis, bit, inverse=inverse, arrangement=arrangement)[..., 0]
+        for axis, length in ((Axis.COLUMNS, size[0]), (Axis.ROWS, size[1]))
+        for bit in range(bit_count(length))
+        for inverse in (False, True)
+    ]
+    frames += [np.full(size[::-1], 255, np.uint8), np.zeros(size[::-1], np.uint8)]
+    return [photograph(frame, albedo, place, noise, rng) for frame in frames]
+
+
+def lit_board(
+    camera_from_board: np.ndarray,
+    *,
+    board: Board = BOARD,
+    camera: CameraModel = CAMERA,
+    projector: CameraModel = PROJECTOR,
+    projector_from_camera: np.ndarray = PROJECTOR_FROM_CAMERA,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo (H, W) of a board as the camera sees it, and which projector pixel (H, W, 2) lights each pixel."""
     plane = plane_coordinates(camera, camera_from_board)
     points = np.concatenate([plane, np.zeros((*plane.shape[:2], 1))], axis=-1).reshape(-1, 3)
     seen = projector.project(transforms.apply(projector_from_camera @ camera_from_board, points))
     place = seen.reshape(*plane.shape).astype(np.float32)
     place = np.where(np.isfinite(place), place, -10).astype(np.float32)
+    return board_albedo(camera, camera_from_board, board), place
 
-    def photo(frame: np.ndarray) -> np.ndarray:
-        light = cv2.remap(frame, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderValue=0)
-        image = 12 * albedo + 0.75 * albedo * light + rng.normal(0, noise, albedo.shape)
-        return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
-    size = (projector.width, projector.height)
-    images = []
-    for axis, length in ((Axis.COLUMNS, size[0]), (Axis.ROWS, size[1])):
-        for bit in range(bit_count(length)):
-            for inverse in (False, True):
-                frame = code_frame(*size, axis, bit, inverse=inverse, arrangement=arrangement)[..., 0]
-                images.append(photo(frame))
-    return [*images, photo(np.full(size[::-1], 255, np.uint8)), photo(np.zeros(size[::-1], np.uint8))]
+def photograph(
+    frame: np.ndarray, albedo: np.ndarray, place: np.ndarray, noise: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Photograph (H, W) uint8 of a projected frame (h, w) uint8, with noise [grey levels]."""
+    light = cv2.remap(frame, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    image = 12 * albedo + 0.75 * albedo * light + rng.normal(0, noise, albedo.shape)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+def small_pattern() -> Pattern:
+    """A pattern for PROJECTOR."""
+    shipped = default_pattern()
+    return replace(
+        shipped,
+        symbols=shipped.symbols[:24, :34],
+        projector_width=PROJECTOR.width,
+        projector_height=PROJECTOR.height,
+        pitch=18.0,
+        origin=(20.0, 20.0),
+    )

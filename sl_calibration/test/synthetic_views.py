@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sl_calibration.self_calibration.calibrate import SelfCalibrationOptions, self_calibrate
 from sl_calibration.self_calibration.views import View
 from sl_common import transforms
 from sl_common.cameras import CameraModel
@@ -135,3 +136,16 @@ def observe(
         noise = np.concatenate([rng.normal(scale=position_sigma, size=3), rng.normal(scale=rotation_sigma, size=3)])
         views.append(View(f"view{i:02d}", r, c, pixels, transforms.perturb(pose, noise)))
     return views
+
+
+QUICK = SelfCalibrationOptions(left_out=False, projector_distortion=False)
+
+
+def calibrate(cell, views, options=QUICK):
+    """Self-calibrate views of a cell."""
+    return self_calibrate(views, cell.camera, cell.centers, SIZE, options)
+
+
+def mahalanobis(delta, covariance):
+    """Squared distance in standard deviations."""
+    return float(delta @ np.linalg.solve(covariance, delta))

@@ -10,6 +10,7 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from sl_calibration.nodes.dot_checks import DotChecks
 from sl_calibration.nodes.messages import colours_from_message, dots_from_message
 from sl_calibration.nodes.object_odometry import ObjectTracking
 from sl_calibration.nodes.robot import Pairing, Robot
@@ -66,7 +67,7 @@ class Triangulator(Node):
                 self,
                 "max_epipolar_distance",
                 2.0,
-                "Dots farther from their epipolar line are refused",
+                "Dots farther from their epipolar line are refused; nearer ones too that are far off for the image's noise",
                 unit="px",
                 minimum=0.01,
             ),
@@ -101,6 +102,7 @@ class Triangulator(Node):
         self._colours: NDArray[np.uint8] | None = None
 
         self._diagnostics = Diagnostics(self)
+        self._checks = DotChecks(self, self._diagnostics, max_epipolar_distance=self._options.max_epipolar_distance)
         self._watch = InputWatch(self)
         self._robot = Robot(self, self._watch, base_frame=self._base_frame, flange_frame=flange, max_gap=max_gap)
         self._pairing: Pairing[Correspondences] = Pairing(
@@ -155,6 +157,7 @@ class Triangulator(Node):
         self._camera_file, self._projector = camera, projector
         self._calibrated_pattern = pattern_id
         self._extrinsic = (hand_eye.transform, pose.transform)
+        self._checks.forget()
         self.get_logger().info(
             f"calibration loaded from {self._folder}, made {pose.extra.get('date', 'at an unknown date')}"
         )
@@ -237,10 +240,11 @@ class Triangulator(Node):
         flange_from_camera, base_from_projector = self._extrinsic
         extrinsics = camera_from_projector(base_from_flange, flange_from_camera, base_from_projector)
         result = triangulate(camera, self._projector, extrinsics, dots.camera, dots.projector, self._options)
+        base_from_camera = base_from_flange @ flange_from_camera
+        result, mark = self._checks.apply(message.header, result, dots, camera, base_from_camera)
         use = result.valid & (dots.confidence >= self._min_confidence)
         points, frame = result.points[use], message.header.frame_id
         row, col = dots.row[use], dots.col[use]
-        base_from_camera = base_from_flange @ flange_from_camera
         if self._tracking is not None:
             in_base = transforms.apply(base_from_camera, points)
             self._tracking.update(message.header.stamp, in_base, row, col, base_from_camera[:3, 3])
@@ -256,6 +260,7 @@ class Triangulator(Node):
             confidence=dots.confidence[use].astype(np.float32),
             row=row.astype(np.uint16),
             col=col.astype(np.uint16),
+            mark=mark[use],
         )
         self._points.publish(cloud)
         self._report(result, len(points))

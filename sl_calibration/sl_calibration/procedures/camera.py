@@ -69,7 +69,7 @@ class CameraProcedure:
 
     def compute(self, samples: Sequence[Sample], setup: Setup) -> Outcome:
         """Calibrate the camera."""
-        corners = np.array([s.arrays["corners"] for s in samples]).reshape(len(samples), -1, 2)
+        corners = np.array([s.arrays["corners"] for s in samples]).reshape(len(samples), len(self.board.points), 2)
         names = [s.name for s in samples]
         with name_odd_view(names):
             size = common_size(samples) if samples else (1, 1)

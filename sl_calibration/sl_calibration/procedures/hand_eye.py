@@ -22,7 +22,7 @@ from sl_calibration.sessions import Sample
 from sl_common import transforms
 from sl_common.calibration_files import HAND_EYE_FILE
 from sl_common.cameras import CameraModel
-from sl_common.errors import StructuredLightError
+from sl_common.errors import InvalidInputError, StructuredLightError
 
 Array = NDArray[np.float64]
 
@@ -122,6 +122,10 @@ class HandEyeProcedure:
 
     def _calibrate(self, samples: Sequence[Sample], camera: CameraModel) -> tuple[HandEye, Array]:
         """Return the calibration and the board's poses (N, 4, 4) in the camera."""
+        if len(samples) < self.samples_needed:
+            raise InvalidInputError(
+                f"too few poses: {len(samples)}, at least {self.samples_needed} are needed, better {POSES_ADVISED}"
+            )
         eye = np.array([view_pose(s.arrays["corners"], self.board.points, camera) for s in samples]).reshape(-1, 4, 4)
         times, rows = np.arange(float(len(samples))), np.arange(1, len(samples) + 1)
         hand = np.array(flange_poses(samples)).reshape(-1, 4, 4)

@@ -83,8 +83,10 @@ class ProcamProcedure:
     def compute(self, samples: Sequence[Sample], setup: Setup) -> Outcome:
         """Calibrate camera and projector."""
         names = [s.name for s in samples]
-        in_camera = np.array([s.arrays["corners"] for s in samples]).reshape(len(samples), -1, 2)
-        in_projector = np.array([s.arrays["projector_corners"] for s in samples]).reshape(len(samples), -1, 2)
+        in_camera = np.array([s.arrays["corners"] for s in samples]).reshape(len(samples), len(self.board.points), 2)
+        in_projector = np.array([s.arrays["projector_corners"] for s in samples]).reshape(
+            len(samples), len(self.board.points), 2
+        )
         size = common_size(samples) if samples else (1, 1)
         with name_odd_view(names):
             result = calibrate_procam(

@@ -86,8 +86,8 @@ def self_calibrate(
         InvalidInputError: Dots outside the pattern or image, poses that are not rigid or in millimetres.
     """
     options = options or SelfCalibrationOptions()
-    sparse = [v.name for v in views if len(v.row) < LEAST_DOTS]
-    views = [v for v in views if len(v.row) >= LEAST_DOTS]
+    sparse = [v.name for v in views if len(v.usable().row) < LEAST_DOTS]
+    views = [v for v in views if v.name not in sparse]
     check_poses([v.name for v in views], np.array([v.base_from_flange for v in views]).reshape(-1, 4, 4))
     consistency.check_motion(np.array([v.base_from_flange for v in views]).reshape(-1, 4, 4))
     observations = flatten(views, centers)
@@ -104,7 +104,7 @@ def self_calibrate(
     if not good.all():
         good = _reinstated(observations, normalised, focal, rotation, good)
         consistency.check_most(pairs, observations.names, good)
-    warnings = [f"left out: {name} has fewer than {LEAST_DOTS} dots" for name in sparse]
+    warnings = [f"left out: {name} has fewer than {LEAST_DOTS} usable dots" for name in sparse]
     warnings += [f"left out: {s}" for s in consistency.describe_outliers(pairs, observations.names, good)]
     observations, normalised = drop_views(observations, good, normalised)
     consistency.check_motion(observations.base_from_flange)
@@ -143,17 +143,17 @@ def self_calibrate(
         ),
         huber=2.5,
     )
-    problem, state = reject(problem, state, first=True)
+    problem, state = reject(problem, state, warnings, first=True)
     progress("bundle adjustment")
     if options.projector_distortion:
         problem, state = with_distortion(problem, state)
     problem, state, tails = adjust_robustly(problem, state, warnings)
     if options.spot_diameter:
         problem, state = start_centroids(problem, state, options.spot_diameter, tails)
-    refined = _refine(problem, state, options)
+    refined = _refine(problem, state, options, warnings)
     if options.projector_distortion and not is_distorted(refined[0], refined[1]):
         progress("projector without distortion")
-        refined = _refine(*without_distortion(problem, state), options)
+        refined = _refine(*without_distortion(problem, state), options, warnings)
     problem, state, inflation = refined
     progress("uncertainty")
     result = assemble(problem, state, warnings, inflation, total)
@@ -190,7 +190,7 @@ def _free_camera(camera: CameraModel, refine: bool) -> NDArray[np.bool_]:
 
 
 def _refine(
-    problem: Problem, state: State, options: SelfCalibrationOptions
+    problem: Problem, state: State, options: SelfCalibrationOptions, warnings: list[str]
 ) -> tuple[Problem, State, tuple[float, float]]:
     """Alternate least squares, the estimation of all noise from the residuals, and a last check for wrong codes."""
     # Too large figures of the robot's noise come down to the true ones in a few rounds, too small ones grow slowly.
@@ -204,7 +204,7 @@ def _refine(
         noise = estimate(problem, lin, *covariance(normal_equations(problem, lin)), options.robot)
         problem = replace(problem, noise=noise)
         if i < _ROUNDS - 1:
-            problem, state = reject(problem, state)
+            problem, state = reject(problem, state, warnings)
             if problem.displacement is not None:
                 problem = with_centroids(problem, state)
     inflated, *factors = inflate(problem, linearise(problem, state))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sl_calibration.self_calibration.errors import DegenerateMotionError, InconsistentPosesError, TooFewViewsError
 from sl_calibration.self_calibration.initialise import conjugation_error, hand_eye_rotation
-from sl_calibration.self_calibration.relative_motion import PairRotations
+from sl_calibration.self_calibration.relative_motion import LEAST_COMMON, PairRotations
 from sl_common import transforms
 from sl_common.errors import StructuredLightError
 
@@ -184,6 +184,11 @@ def _reason(pairs: PairRotations, names: Sequence[str], good: BoolArray) -> str:
     mismatch = pairs.angle_mismatch()
     fits = int((mismatch < _AGREEMENT).sum())
     facts = f"{fits} of {len(mismatch)} pairs of views turn by the same angle as the flange"
+    if len(mismatch) < count:
+        return (
+            f"{facts}, and hardly any pairs of {count} views share {LEAST_COMMON} dots and more: let the views overlap"
+            " more, or bring more dots into view"
+        )
     for order, what in (
         (np.arange(count)[::-1], "in reverse order"),
         (np.roll(np.arange(count), 1), "shifted by one image"),

@@ -17,7 +17,7 @@ LEAST_CAMERA = 0.01
 LEAST_PROJECTOR = 0.01
 """Least standard deviations [px]: exact (simulated) pixels must not make the equations singular."""
 
-MOST_ROBOT_NOISE = 10.0
+MOST_ROBOT_NOISE = 30.0
 """The robot's noise is never taken for more than so many times its prior: poses must not come loose from the robot."""
 
 _LAG = 10  # [dots] over which residuals may be correlated

@@ -19,21 +19,34 @@ from sl_calibration.self_calibration.outliers import (
     right_observations,
 )
 from sl_calibration.self_calibration.views import Observations
+from sl_common import transforms
+
+LEAST_RIGHT = 6
+"""A view with fewer right dots than this is left out."""
+
+_RAISES = 8
 
 
-def reject(problem: Problem, state: State, *, first: bool = False) -> tuple[Problem, State]:
-    """Drop observations off by more than four standard deviations of their view, and dots with less than two left."""
+def reject(problem: Problem, state: State, warnings: list[str], *, first: bool = False) -> tuple[Problem, State]:
+    """Drop observations off by more than four standard deviations of their view, dots with less than two left, and
+    views with hardly any; such views are added to the warnings."""
     observations = problem.observations
     in_camera, in_projector = reprojection_errors(problem, state)
-    right = right_observations(observations.view, in_camera, len(observations.names), least=2.0 if first else 0.2)
+    right = right_observations(
+        observations.view,
+        in_camera,
+        len(observations.names),
+        threshold=6.0 if first else 4.0,
+        least=2.0 if first else 0.2,
+    )
     # Before the first adjustment dots come from the cameras alone; later they are drawn to the projector's rays.
     limit = max(5 * float(np.median(in_projector)) / 1.1774, 3.0) if first else 6 * problem.projector_sigma
     observations = observations.select(right & (in_projector < limit)[observations.point])
     # A dot of a single view has nothing but the epipolar line to show that its code is right.
     seen = np.bincount(observations.point, minlength=len(observations.dots)) > (0 if first else 1)
     observations, points = drop_dots(observations, seen, state.points)
-    _check_views_left(observations)
-    return _changed(problem, replace(state, points=points), observations)
+    problem, state = _changed(problem, replace(state, points=points), observations)
+    return _without_empty_views(problem, state, warnings)
 
 
 def _changed(problem: Problem, state: State, observations: Observations) -> tuple[Problem, State]:
@@ -43,14 +56,22 @@ def _changed(problem: Problem, state: State, observations: Observations) -> tupl
     return (with_centroids(problem, state) if modelled else problem), state
 
 
-def _check_views_left(observations: Observations) -> None:
-    count = np.bincount(observations.view, minlength=len(observations.names))
-    for name, n in zip(observations.names, count, strict=True):
-        if n < 6:
-            raise InconsistentPosesError(
-                f"{name}: only {n} of its dots agree with the other views: the image belongs to another scene or pose;"
-                " leave it out"
-            )
+def _without_empty_views(problem: Problem, state: State, warnings: list[str]) -> tuple[Problem, State]:
+    """Leave out views with hardly any dot left; raises InconsistentPosesError where too few remain."""
+    names = problem.observations.names
+    count = np.bincount(problem.observations.view, minlength=len(names))
+    empty = count < LEAST_RIGHT
+    if not empty.any():
+        return problem, state
+    said = [
+        f"{name}: only {n} of its dots agree with the other views: the image belongs to another scene or pose"
+        for name, n in zip(names, count, strict=True)
+        if n < LEAST_RIGHT
+    ]
+    if empty.sum() > 0.4 * len(names) or (~empty).sum() < consistency.LEAST_VIEWS:
+        raise InconsistentPosesError("; ".join(said[:3]) + "; leave it out")
+    warnings += [f"left out: {sentence}" for sentence in said]
+    return _without_views(problem, state, ~empty)
 
 
 def adjust_robustly(problem: Problem, state: State, warnings: list[str]) -> tuple[Problem, State, float]:
@@ -60,10 +81,10 @@ def adjust_robustly(problem: Problem, state: State, warnings: list[str]) -> tupl
     """
     tails = 0.0
     for attempt in range(len(problem.observations.names)):
-        state = adjust(problem, state, iterations=30, tolerance=1e-6).state
+        problem, state = _adjust_with_robot_noise(problem, state)
         before = len(problem.observations.view)
         tails = max(tails, heavy_tails(problem.observations.view, reprojection_errors(problem, state)[0]))
-        problem, state = reject(problem, state)
+        problem, state = reject(problem, state, warnings)
         outlier = outlier_pose(problem, state)
         if outlier is not None:
             keep = np.arange(len(problem.observations.names)) != outlier.view
@@ -75,6 +96,27 @@ def adjust_robustly(problem: Problem, state: State, warnings: list[str]) -> tupl
         elif before - len(problem.observations.view) < 1e-3 * before:
             break
     return problem, state, tails
+
+
+def _adjust_with_robot_noise(problem: Problem, state: State) -> tuple[Problem, State]:
+    """Adjust, and raise the robot's noise to what the flange poses show, before anything is called wrong.
+
+    Poses that are held more firmly than they deserve push their errors into the dots, which would be rejected instead.
+    """
+    for _ in range(_RAISES):
+        state = adjust(problem, state, iterations=30, tolerance=1e-6).state
+        difference = np.abs(transforms.difference(problem.observations.base_from_flange, state.base_from_flange))
+        noise = problem.noise
+        position = float(np.median(difference[:, :3])) / 0.6745
+        rotation = float(np.median(difference[:, 3:])) / 0.6745
+        if position < 1.3 * noise.position and rotation < 1.3 * noise.rotation:
+            break
+        # What shows of a noise that was held down is less than it is: go on until it shows no more.
+        noise = replace(
+            noise, position=max(noise.position, 1.5 * position), rotation=max(noise.rotation, 1.5 * rotation)
+        )
+        problem = replace(problem, noise=noise)
+    return problem, state
 
 
 def _without_views(problem: Problem, state: State, keep: NDArray[np.bool_]) -> tuple[Problem, State]:

@@ -1,7 +1,7 @@
 """What a self-calibration is computed from: views of one static scene, flattened into arrays of observations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,12 @@ class View:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "base_from_flange", np.array(self.base_from_flange, dtype=np.float64))
 
+    def usable(self) -> "View":
+        """Return the view without dots that it claims twice, as one of the two must be wrong, and without NaN."""
+        _, where, count = np.unique(np.stack([self.row, self.col]), axis=1, return_inverse=True, return_counts=True)
+        keep = (count[where.reshape(-1)] == 1) & np.isfinite(self.pixels).all(-1)
+        return replace(self, row=self.row[keep], col=self.col[keep], pixels=self.pixels[keep])
+
 
 @dataclass(frozen=True, eq=False)
 class Observations:
@@ -89,8 +95,8 @@ class Observations:
 def flatten(views: Sequence[View], centers: Array) -> Observations:
     """Flatten views into observations; ``centers`` (rows, cols, 2) are the pattern's spot centres [projector px].
 
-    A dot given twice in one view is dropped from that view, as one of the two must be wrong. Raises InvalidInputError
-    naming the view for dots outside the pattern, too few dots, or a pose that is not rigid.
+    Only usable dots count, see :meth:`View.usable`. Raises InvalidInputError naming the view for dots outside the
+    pattern or too few dots.
     """
     rows, cols = centers.shape[:2]
     view_index, dot_index, pixels = [], [], []
@@ -102,17 +108,15 @@ def flatten(views: Sequence[View], centers: Array) -> Observations:
                 f"{view.name}: dot at row {view.row[bad]}, column {view.col[bad]} is outside the {rows}x{cols} pattern:"
                 " give the pattern file that was projected"
             )
-        dot = view.row * cols + view.col
-        _, first, count = np.unique(dot, return_index=True, return_counts=True)
-        keep = first[count == 1]
-        keep = keep[np.isfinite(view.pixels[keep]).all(-1)]
-        if len(keep) < LEAST_DOTS:
+        kept = view.usable()
+        if len(kept.row) < LEAST_DOTS:
             raise InvalidInputError(
-                f"{view.name}: {len(keep)} usable dots, at least {LEAST_DOTS} are needed: retake or leave out this view"
+                f"{view.name}: {len(kept.row)} usable dots, at least {LEAST_DOTS} are needed: retake or leave out this"
+                " view"
             )
-        view_index.append(np.full(len(keep), i))
-        dot_index.append(dot[keep])
-        pixels.append(view.pixels[keep])
+        view_index.append(np.full(len(kept.row), i))
+        dot_index.append(kept.row * cols + kept.col)
+        pixels.append(kept.pixels)
     dots, point = np.unique(np.concatenate(dot_index), return_inverse=True)
     row_col = np.stack([dots // cols, dots % cols], axis=-1)
     return Observations(
