@@ -15,11 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sl_decoder.approximation import logarithm
 from sl_decoder.compiled import compiled
 from sl_decoder.segmentation import Segments
 
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
 SATURATED = 250  # a channel from here on has lost its proportion
+LANES = 8  # pixels of a blob are summed in groups of this many
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,46 @@ class Dots:
 
 
 @compiled
+def _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, back):
+    """Background of a blob: mean signal where no blob lies on the ellipse (rx, ry) around (cx, cy).
+
+    The lower three quarters count: skirts of neighbours brighten the rest. Writes back (3,); returns the mean variance
+    of a channel and how many samples count, fewer than three of them mean nothing. ring (4, S) float32: work space.
+    """
+    h, w = hat.shape
+    m = 0
+    for k in range(len(circle)):
+        x = int(cx + rx * circle[k, 0] + 0.5)
+        y = int(cy + ry * circle[k, 1] + 0.5)
+        if x < 0 or y < 0 or x >= w or y >= h or label[y, x] != 0:
+            continue
+        # distinct keys: equal values keep their order
+        ring[0, m] = np.float32(hat[y, x]) + np.float32(m) * np.float32(0.01)
+        for c in range(3):
+            ring[1 + c, m] = np.float32(max(smooth[c, y, x], half[c, y >> 1, x >> 1]) - half[c, y >> 1, x >> 1])
+        m += 1
+    kept = m - m // 4
+    b0 = b1 = b2 = q = np.float32(0)
+    for k in range(m):
+        before = np.int32(0)
+        for j in range(m):
+            before += np.int32(ring[0, j] < ring[0, k])
+        use = np.float32(before < kept)
+        p0, p1, p2 = ring[1, k], ring[2, k], ring[3, k]
+        b0 += use * p0
+        b1 += use * p1
+        b2 += use * p2
+        q += use * (p0 * p0 + p1 * p1 + p2 * p2)
+    r = np.float32(1) / max(kept, 1)
+    b0, b1, b2 = b0 * r, b1 * r, b2 * r
+    back[0], back[1], back[2] = b0, b1, b2
+    return (q * r - b0 * b0 - b1 * b1 - b2 * b2) * np.float32(1 / 3), kept
+
+
+@compiled
 def _measure(
-    signal,
     smooth,
+    half,
     hat,
     label,
     xs,
@@ -68,54 +107,57 @@ def _measure(
     profile,
 ):
     h, w = hat.shape
-    values = hat.ravel()
-    channels = signal.reshape(-1)
-    bright = smooth.reshape(-1)
     largest = 0
     for j in range(len(peak)):
         largest = max(largest, start[j + 1] - start[j])
-    vx = np.empty(largest, np.float32)
-    vy = np.empty(largest, np.float32)
-    vv = np.empty(largest, np.float32)
-    ring_value = np.empty(len(circle), np.uint8)
-    ring_place = np.empty(len(circle), np.int64)
-    one = np.float32(1.0)
+    # rows: x, y, height, B, G, R, saturated, mixture; one array, so that the compiler sees that they do not overlap
+    pixel = np.zeros((8, (largest + LANES - 1) // LANES * LANES), np.float32)
+    ring = np.empty((4, len(circle)), np.float32)
+    back = np.empty(3, np.float32)
+    one, zero = np.float32(1), np.float32(0)
     for j in range(len(peak)):
-        s, e = start[j], start[j + 1]
-        half = floor[j] + np.float32(0.5) * (peak[j] - floor[j])
-        n = 0
-        sat = 0
-        sx = sy = sw = np.float32(0)
-        c0 = c1 = c2 = np.float32(0)
-        x_first, y_first = xs[s], ys[s]
-        xx = xy = yy = np.float32(0)
-        mx = my = np.float32(0)
+        s = start[j]
+        count = start[j + 1] - s
+        whole = (count + LANES - 1) // LANES * LANES
+        base = floor[j]
+        half_height = np.float32(0.5) * (peak[j] - base)
+        x_first, y_first = np.float32(xs[s]), np.float32(ys[s])
         touches = False
-        for k in range(s, e):
-            x, y = np.int64(xs[k]), np.int64(ys[k])
-            i = y * w + x
-            v = np.float32(values[i])
-            if v < half:
-                continue
-            dx = np.float32(x - x_first)
-            dy = np.float32(y - y_first)
-            n += 1
-            v -= floor[j]
-            sw += v
-            sx += v * dx
-            sy += v * dy
-            mx += dx
-            my += dy
-            xx += dx * dx
-            xy += dx * dy
-            yy += dy * dy
-            c0 += channels[3 * i]
-            c1 += channels[3 * i + 1]
-            c2 += channels[3 * i + 2]
-            if bright[3 * i] >= SATURATED or bright[3 * i + 1] >= SATURATED or bright[3 * i + 2] >= SATURATED:
-                sat += 1
-            if x <= 1 or y <= 1 or x >= w - 2 or y >= h - 2:
-                touches = True
+        for k in range(count):
+            x, y = np.int64(xs[s + k]), np.int64(ys[s + k])
+            pixel[0, k] = np.float32(x) - x_first
+            pixel[1, k] = np.float32(y) - y_first
+            pixel[2, k] = np.float32(hat[y, x]) - base
+            full = np.uint8(0)
+            for c in range(3):
+                v = smooth[c, y, x]
+                full = max(full, v)
+                pixel[3 + c, k] = np.float32(max(v, half[c, y >> 1, x >> 1]) - half[c, y >> 1, x >> 1])
+            pixel[6, k] = np.float32(full >= SATURATED)
+            touches |= pixel[2, k] >= half_height and (x <= 1 or y <= 1 or x >= w - 2 or y >= h - 2)
+        for k in range(count, whole):
+            for row in range(7):
+                pixel[row, k] = zero
+            pixel[2, k] = -one  # below half of any peak
+        n = sx = sy = sw = mx = my = xx = xy = yy = c0 = c1 = c2 = sat = zero
+        for k in range(whole):
+            v = pixel[2, k]
+            use = one if v >= half_height else zero
+            dx = pixel[0, k]
+            dy = pixel[1, k]
+            n += use
+            sw += use * v
+            sx += use * v * dx
+            sy += use * v * dy
+            mx += use * dx
+            my += use * dy
+            xx += use * dx * dx
+            xy += use * dx * dy
+            yy += use * dy * dy
+            c0 += use * pixel[3, k]
+            c1 += use * pixel[4, k]
+            c2 += use * pixel[5, k]
+            sat += use * pixel[6, k]
         r = one / n
         mx *= r
         my *= r
@@ -123,66 +165,35 @@ def _measure(
         xx = xx * r - mx * mx + np.float32(1 / 12)
         xy = xy * r - mx * my
         yy = yy * r - my * my + np.float32(1 / 12)
-        cx = x_first + sx / sw
-        cy = y_first + sy / sw
+        fx, fy = sx / sw, sy / sw
+        cx, cy = x_first + fx, y_first + fy
         covariance[j, 0] = xx
         covariance[j, 1] = xy
         covariance[j, 2] = yy
-        area[j] = n
+        area[j] = int(n)
         saturated[j] = sat * r
         cut[j] = touches
-        # the background: where no blob lies, on an ellipse around
+        profile[j] = zero
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        m = 0
-        for k in range(len(circle)):
-            x = int(cx + rx * circle[k, 0] + 0.5)
-            y = int(cy + ry * circle[k, 1] + 0.5)
-            if x < 0 or y < 0 or x >= w or y >= h or label[y, x] != 0:
-                continue
-            i = y * w + x
-            value = values[i]
-            p = m
-            while p > 0 and ring_value[p - 1] > value:
-                ring_value[p] = ring_value[p - 1]
-                ring_place[p] = ring_place[p - 1]
-                p -= 1
-            ring_value[p] = value
-            ring_place[p] = 3 * i
-            m += 1
-        b0 = b1 = b2 = np.float32(0)
+        variance, m = _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, back)
         if m >= 3:
-            # the lower three quarters: skirts of neighbours brighten the rest
-            m -= m // 4
-            q = np.float32(0)
-            for k in range(m):
-                i = ring_place[k]
-                p0, p1, p2 = np.float32(channels[i]), np.float32(channels[i + 1]), np.float32(channels[i + 2])
-                b0 += p0
-                b1 += p1
-                b2 += p2
-                q += p0 * p0 + p1 * p1 + p2 * p2
-            b0 /= m
-            b1 /= m
-            b2 /= m
-            spread = np.sqrt(max((q / m - b0 * b0 - b1 * b1 - b2 * b2) / 3.0, 0.3))
             # neighbouring pixels share the filter: about three of them count as one
-            noise[j] = spread * np.sqrt(one / m + one / max(one, n / np.float32(3)))
+            noise[j] = np.sqrt(max(variance, np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
         else:
-            b0 = b1 = b2 = floor[j]
-            noise[j] = max(floor[j], one)
-        c0 = c0 * r - b0
-        c1 = c1 * r - b1
-        c2 = c2 * r - b2
+            back[:] = base
+            noise[j] = max(base, one)
+        c0 = c0 * r - back[0]
+        c1 = c1 * r - back[1]
+        c2 = c2 * r - back[2]
         colour[j, 0] = c0
         colour[j, 1] = c1
         colour[j, 2] = c2
         # the dot's own mixture of channels has the least noise
-        w0 = max(c0, np.float32(0))
-        w1 = max(c1, np.float32(0))
-        w2 = max(c2, np.float32(0))
+        w0 = max(c0, zero)
+        w1 = max(c1, zero)
+        w2 = max(c2, zero)
         total = w0 + w1 + w2
-        profile[j] = np.float32(0)
         if total <= 0:
             centre[j, 0] = cx
             centre[j, 1] = cy
@@ -190,25 +201,23 @@ def _measure(
         w0 /= total
         w1 /= total
         w2 /= total
-        offset = w0 * b0 + w1 * b1 + w2 * b2
-        count = e - s
-        for k in range(count):
-            i = np.int64(ys[s + k]) * w + xs[s + k]
-            vx[k] = np.float32(xs[s + k]) - cx
-            vy[k] = np.float32(ys[s + k]) - cy
-            vv[k] = w0 * channels[3 * i] + w1 * channels[3 * i + 1] + w2 * channels[3 * i + 2] - offset
+        offset = w0 * back[0] + w1 * back[1] + w2 * back[2]
+        for k in range(whole):
+            pixel[7, k] = w0 * pixel[3, k] + w1 * pixel[4, k] + w2 * pixel[5, k] - offset
+        for k in range(count, whole):
+            pixel[7, k] = zero
         det = max(xx * yy - xy * xy, np.float32(1e-3)) * np.float32(SUPPORT * SUPPORT)
         ixx = yy / det
         ixy = -2 * xy / det
         iyy = xx / det
-        ox = oy = np.float32(0)
+        ox, oy = fx, fy
         for _ in range(4):
-            sx = sy = sw = np.float32(0)
-            for k in range(count):
-                dx = vx[k] - ox
-                dy = vy[k] - oy
-                g = max(one - (ixx * dx * dx + ixy * dx * dy + iyy * dy * dy), np.float32(0))
-                g = g * g * vv[k]
+            sx = sy = sw = zero
+            for k in range(whole):
+                dx = pixel[0, k] - ox
+                dy = pixel[1, k] - oy
+                g = max(one - (ixx * dx * dx + ixy * dx * dy + iyy * dy * dy), zero)
+                g = g * g * pixel[7, k]
                 sw += g
                 sx += g * dx
                 sy += g * dy
@@ -221,21 +230,21 @@ def _measure(
             oy += sy
             if sx * sx + sy * sy < 2e-5:
                 break
-        if ox * ox + oy * oy > 0.5 * (xx + yy) + 0.25:
-            ox = oy = np.float32(0)
-        centre[j, 0] = cx + ox
-        centre[j, 1] = cy + oy
-        sw = m2 = m4 = np.float32(0)
-        for k in range(count):
-            dx = vx[k] - ox
-            dy = vy[k] - oy
-            v = max(vv[k], np.float32(0))
+        if (ox - fx) ** 2 + (oy - fy) ** 2 > np.float32(0.5) * (xx + yy) + np.float32(0.25):
+            ox, oy = fx, fy
+        centre[j, 0] = x_first + ox
+        centre[j, 1] = y_first + oy
+        sw = m2 = m4 = zero
+        for k in range(whole):
+            dx = pixel[0, k] - ox
+            dy = pixel[1, k] - oy
+            v = max(pixel[7, k], zero)
             r2 = ixx * dx * dx + ixy * dx * dy + iyy * dy * dy
             sw += v
             m2 += v * r2
             m4 += v * r2 * r2
         if m2 > 0:
-            profile[j] = np.log(m4 * sw / (m2 * m2))
+            profile[j] = logarithm(m4 * sw / (m2 * m2))
 
 
 _ANGLE = np.arange(16) * (2 * np.pi / 16)
@@ -256,8 +265,8 @@ def measure(segments: Segments) -> Dots:
         profile=np.zeros(n, np.float32),
     )
     _measure(
-        segments.signal,
         segments.smooth,
+        segments.background,
         segments.hat,
         segments.label,
         segments.xs,

@@ -91,7 +91,7 @@ class Decoder:
         return self.read(centres.measure(segments), segments.smooth)
 
     def read(self, dots: centres.Dots, smooth: NDArray[np.uint8] | None = None) -> Interpretation:
-        """Interpretation of measured dots; smooth (H, W, 3): the image, to recover dots that were not segmented."""
+        """Interpretation of measured dots; smooth (3, H, W): the image, to recover dots that were not segmented."""
         reading = Interpretation(self.codebook, self.alphabet, dots)
         if reading.n < len(self.codebook.lattice.window):
             return reading

@@ -17,13 +17,37 @@ RIDGE = 0.6  # damping of the field's slopes
 
 
 @compiled
+def select(values, rank):
+    """The value that would stand at `rank` if values (N,) were sorted; reorders them (Hoare's selection)."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot = values[(low + high) >> 1]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return values[rank]
+
+
+@compiled
 def quantile(values, share):
-    """Quantile of values (N,) float32 that are sorted in place; 0 for none."""
+    """Quantile of values (N,) float32, which are reordered; 0 for none."""
     n = len(values)
     if n == 0:
         return np.float32(0)
-    values.sort()
-    return values[min(n - 1, int(share * n))]
+    return select(values, min(n - 1, int(share * n)))
 
 
 @compiled
@@ -34,72 +58,90 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
     the slopes, so that one-sided neighbourhoods extrapolate a gradient without exaggerating it).
     """
     n, k = near.shape
+    one, zero = np.float32(1), np.float32(0)
+    own = np.empty(n, np.float32)
+    for i in range(n):
+        own[i] = signal[i] - level[letter[i]]
     values = np.empty(k, np.float32)
-    ordered = np.empty(k, np.float32)
     xs = np.empty(k, np.float32)
     ys = np.empty(k, np.float32)
-    one = np.float32(1)
     for i in range(n):
         m = 0
-        far = np.float32(0)
+        far = one
+        px, py = centre[i, 0], centre[i, 1]
         for q in range(k):
             j = near[i, q]
             if j < 0:
                 break
-            if not use[j]:
-                continue
-            value = signal[j] - level[letter[j]]
-            values[m] = value
-            xs[m] = centre[j, 0] - centre[i, 0]
-            ys[m] = centre[j, 1] - centre[i, 1]
-            far = max(far, xs[m] * xs[m] + ys[m] * ys[m])
-            p = m
-            while p > 0 and ordered[p - 1] > value:
-                ordered[p] = ordered[p - 1]
-                p -= 1
-            ordered[p] = value
-            m += 1
+            values[m] = own[j]
+            x = centre[j, 0] - px
+            y = centre[j, 1] - py
+            xs[m] = x
+            ys[m] = y
+            if use[j]:
+                far = max(far, x * x + y * y)
+                m += 1
         if m == 0:
-            field[i] = signal[i] - level[letter[i]]
+            field[i] = own[i]
             field_variance[i] = one
             continue
-        middle = ordered[m // 2]
-        scale = one / np.sqrt(max(far, one))
-        sw = sz = sx = sy = sxx = sxy = syy = sxz = syz = np.float32(0)
+        middle = _upper_median(values[:m])
+        scale = one / np.sqrt(far)
+        sw = sz = sx = sy = sxx = sxy = syy = sxz = syz = szz = zero
         for q in range(m):
             z = values[q] - middle
-            w = one / (one + (z / np.float32(EDGE)) ** 2)
+            e = z * np.float32(1 / EDGE)
+            w = one / (one + e * e)
             x = xs[q] * scale
             y = ys[q] * scale
+            wx, wy, wz = w * x, w * y, w * z
             sw += w
-            sz += w * z
-            sx += w * x
-            sy += w * y
-            sxx += w * x * x
-            sxy += w * x * y
-            syy += w * y * y
-            sxz += w * x * z
-            syz += w * y * z
+            sz += wz
+            sx += wx
+            sy += wy
+            sxx += wx * x
+            sxy += wx * y
+            syy += wy * y
+            sxz += wx * z
+            syz += wy * z
+            szz += wz * z
         mx = sx / sw
         my = sy / sw
         mz = sz / sw
-        cxx = sxx - sw * mx * mx + np.float32(RIDGE)
+        vxx = sxx - sw * mx * mx
+        vyy = syy - sw * my * my
+        cxx = vxx + np.float32(RIDGE)
         cxy = sxy - sw * mx * my
-        cyy = syy - sw * my * my + np.float32(RIDGE)
+        cyy = vyy + np.float32(RIDGE)
         cxz = sxz - sw * mx * mz
         cyz = syz - sw * my * mz
         det = cxx * cyy - cxy * cxy
         gx = (cxz * cyy - cyz * cxy) / det
         gy = (cyz * cxx - cxz * cxy) / det
         field[i] = middle + mz - gx * mx - gy * my
-        total = np.float32(0)
-        for q in range(m):
-            z = values[q] - middle
-            w = one / (one + (z / np.float32(EDGE)) ** 2)
-            r = z - mz - gx * (xs[q] * scale - mx) - gy * (ys[q] * scale - my)
-            total += w * r * r
+        # weighted sum of squared residuals, expanded
+        total = szz - sw * mz * mz - 2 * (gx * cxz + gy * cyz) + gx * gx * vxx + 2 * gx * gy * cxy + gy * gy * vyy
         lever = one / sw + (mx * mx * cyy - 2 * mx * my * cxy + my * my * cxx) / det
-        field_variance[i] = (total + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
+        field_variance[i] = (max(total, zero) + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
+
+
+@compiled
+def _upper_median(values):
+    """Value of rank N // 2 of a few values (N,).
+
+    Counting compares all pairs, without a branch that depends on them: faster than sorting sixteen.
+    """
+    n = len(values)
+    middle = values[0]
+    for i in range(n):
+        v = values[i]
+        below = np.int32(0)
+        up_to = np.int32(0)
+        for j in range(n):
+            below += np.int32(values[j] < v)
+            up_to += np.int32(values[j] <= v)
+        middle = v if below <= n >> 1 < up_to else middle
+    return middle
 
 
 @compiled
@@ -145,8 +187,6 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
             if use[i] and group[i] == g:
                 pool[m] = signal[i] - field[i]
                 m += 1
-        values = pool[:m]
-        values.sort()
         total = 0.0
         for a in range(count):
             if letter_group[a] == g:
@@ -157,7 +197,7 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
             if letter_group[a] != g:
                 continue
             high = low + share[a] / max(total, 1e-9)
-            level[a] = values[min(m - 1, int(0.5 * (low + high) * m))] if m > 0 else np.float32(0)
+            level[a] = quantile(pool[:m], 0.5 * (low + high))
             low = high
     sums = np.zeros(count)
     number = np.zeros(count, np.int64)

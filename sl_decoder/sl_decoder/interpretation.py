@@ -15,8 +15,9 @@ from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
 from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
-from sl_decoder.letters import LetterModel
+from sl_decoder.letter_model import LetterModel, fit_model, letter_evidence, log_signal
 from sl_decoder.matched import CIRCLE
+from sl_decoder.nearest import nearest
 
 SMALLEST_COMPONENT = 4  # dots; smaller components take part in growth only
 NEXT_EVIDENCE = 14.0  # log-likelihood ratio that further placements need once the pattern is known to be there
@@ -72,7 +73,7 @@ class Interpretation:
     def build_graph(self) -> None:
         """Lattice links and connected components."""
         n = self.n
-        self.near = graph.nearest(self.centre[:n], graph.NEIGHBOURS)
+        self.near = nearest(self.centre[:n], graph.NEIGHBOURS)
         self._link(graph.BLUR)
         self._lay_out(self.links, self.quality)
 
@@ -119,15 +120,14 @@ class Interpretation:
         """Evidence for each letter of each dot, from the current model and field."""
         n, model = self.n, self.model
         assert model is not None
-        letters.all_evidence(
+        letter_evidence(
+            model,
             self.colour[:n],
             self.profile,
             self.signal[:n],
             self.field[:n],
             self.variance[:n],
             self.noise[:n],
-            self.alphabet.group,
-            *model.arrays(),
             self.evidence[:n],
             self.letter[:n],
         )
@@ -332,11 +332,11 @@ class Interpretation:
         known = np.where(held, self.book.letters[self.holder_v[:n], self.holder_u[:n]], self.letter[:n]).astype(
             np.int32
         )
-        self.signal[:n] = letters.log_signal(self.colour[:n], model.direction, self.alphabet.group[known])
+        self.signal[:n] = log_signal(self.colour[:n], model.direction, self.alphabet.group[known])
         local_field(
             self.centre[:n], self.signal[:n], self.near, known, model.level, held, self.field[:n], self.variance[:n]
         )
-        self.model = letters.fit_model(
+        self.model = fit_model(
             self.alphabet,
             self.colour[:n],
             self.profile,
@@ -365,8 +365,7 @@ class Interpretation:
                 self.signal,
                 book.letters,
                 lattice.steps,
-                self.alphabet.group,
-                model.direction,
+                model,
                 CIRCLE,
                 200,
             )
@@ -391,8 +390,7 @@ class Interpretation:
             book.letters,
             lattice.steps,
             lattice.window,
-            self.alphabet.group,
-            *model.arrays(),
+            model,
             offset,
             CIRCLE,
             recovery.REACH,

@@ -13,11 +13,29 @@ import numpy as np
 
 from sl_decoder.compiled import compiled
 from sl_decoder.growth import EXTRAPOLATED, UNPREDICTED, lattice_error, predict
-from sl_decoder.letters import letter_evidence
-from sl_decoder.matched import measure_at
+from sl_decoder.letter_model import evidence_of_one, mixtures, neighbours_field, projected_signal
+from sl_decoder.matched import WORK, measure_at
 
 REACH = 0.3  # search radius around the prediction, lattice units
 APART = 0.5  # a recovered dot keeps this distance from all held ones, lattice units
+
+
+@compiled
+def _mean_footprint(claim, v, u, covariance, area, window):
+    """Mean covariance (xx, xy, yy) and area of the held neighbours of the map's element (u, v)."""
+    rows, cols = claim.shape
+    cxx = cxy = cyy = size = np.float32(0)
+    m = 0
+    for p in range(1, len(window)):
+        vv, uu = v + window[p, 1], u + window[p, 0]
+        if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
+            j = claim[vv, uu]
+            cxx += covariance[j, 0]
+            cxy += covariance[j, 1]
+            cyy += covariance[j, 2]
+            size += area[j]
+            m += 1
+    return cxx / m, cxy / m, cyy / m, size / m
 
 
 @compiled
@@ -40,14 +58,7 @@ def recover(
     map_letters,
     steps,
     window,
-    letter_group,
-    direction,
-    spread,
-    profile_mean,
-    profile_spread,
-    level,
-    level_spread,
-    stray,
+    model,
     level_offset,
     circle,
     reach,
@@ -65,7 +76,8 @@ def recover(
     tail = 0
     head = 0
     found = np.empty(7, np.float32)
-    mix = np.empty(3, np.float32)
+    work = np.empty(WORK, np.float32)
+    mixes = mixtures(model.direction)
     for v in range(rows):
         for u in range(cols):
             if claim[v, u] >= 0 or map_letters[v, u] < 0 or tried[v, u]:
@@ -84,40 +96,16 @@ def recover(
         if kind == UNPREDICTED:
             waiting[v, u] = False
             continue
-        cxx = cxy = cyy = np.float32(0)
-        field = np.float32(0)
-        square = np.float32(0)
-        size = np.float32(0)
-        m = 0
-        for p in range(1, len(window)):
-            vv, uu = v + window[p, 1], u + window[p, 0]
-            if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
-                j = claim[vv, uu]
-                cxx += covariance[j, 0]
-                cxy += covariance[j, 1]
-                cyy += covariance[j, 2]
-                size += area[j]
-                value = signal[j] - level[map_letters[vv, uu]]
-                field += value
-                square += value * value
-                m += 1
+        field, variance, m = neighbours_field(claim, v, u, signal, model.level, map_letters, window)
         if m < 2:
             waiting[v, u] = False
             continue
         tried[v, u] = True
-        field /= m
-        variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
+        cxx, cxy, cyy, size = _mean_footprint(claim, v, u, covariance, area, window)
         expected = map_letters[v, u]
-        g = letter_group[expected]
-        total = (
-            max(direction[g, 0], np.float32(0))
-            + max(direction[g, 1], np.float32(0))
-            + max(direction[g, 2], np.float32(0))
-        )
-        for c in range(3):
-            mix[c] = max(direction[g, c], np.float32(0)) / total
+        g = model.group[expected]
         if not measure_at(
-            smooth, x, y, cxx / m, cxy / m, cyy / m, mix, ax, ay, bx, by, np.float32(reach), circle, found
+            smooth, x, y, cxx, cxy, cyy, mixes[g], ax, ay, bx, by, np.float32(reach), circle, work, found
         ):
             continue
         clear = True
@@ -130,33 +118,14 @@ def recover(
         if not clear:
             continue
         i = n
-        projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
-        s = np.log(max(projected, np.float32(0.5))) - level_offset
-        letter[i] = letter_evidence(
-            found[2],
-            found[3],
-            found[4],
-            np.float32(np.nan),
-            s,
-            field,
-            variance,
-            found[5],
-            letter_group,
-            direction,
-            spread,
-            profile_mean,
-            profile_spread,
-            level,
-            level_spread,
-            stray,
-            log_p[i],
-        )
+        s = projected_signal(found[2], found[3], found[4], model.direction[g]) - level_offset
+        letter[i] = evidence_of_one(model, found[2:5], s, field, variance, found[5], log_p[i])
         if log_p[i, expected] < least:
             continue
         centre[i, 0], centre[i, 1] = found[0], found[1]
         colour[i, 0], colour[i, 1], colour[i, 2] = found[2], found[3], found[4]
-        covariance[i, 0], covariance[i, 1], covariance[i, 2] = cxx / m, cxy / m, cyy / m
-        area[i] = int(size / m)
+        covariance[i, 0], covariance[i, 1], covariance[i, 2] = cxx, cxy, cyy
+        area[i] = int(size)
         noise[i] = found[5]
         saturated[i] = found[6]
         signal[i] = s
@@ -181,14 +150,13 @@ def recover(
 
 
 @compiled
-def matched_offset(
-    claim, smooth, centre, covariance, signal, map_letters, steps, letter_group, direction, circle, most
-):
+def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, model, circle, most):
     """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
     rows, cols = claim.shape
     values = np.empty(most, np.float32)
     found = np.empty(7, np.float32)
-    mix = np.empty(3, np.float32)
+    work = np.empty(WORK, np.float32)
+    mixes = mixtures(model.direction)
     n = 0
     held = 0
     for v in range(rows):
@@ -207,13 +175,7 @@ def matched_offset(
             _, _, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
             if kind >= EXTRAPOLATED:
                 continue
-            g = letter_group[map_letters[v, u]]
-            total = np.float32(0)
-            for c in range(3):
-                mix[c] = max(direction[g, c], np.float32(0))
-                total += mix[c]
-            for c in range(3):
-                mix[c] /= total
+            g = model.group[map_letters[v, u]]
             if measure_at(
                 smooth,
                 centre[i, 0],
@@ -221,16 +183,16 @@ def matched_offset(
                 covariance[i, 0],
                 covariance[i, 1],
                 covariance[i, 2],
-                mix,
+                mixes[g],
                 ax,
                 ay,
                 bx,
                 by,
                 np.float32(0.2),
                 circle,
+                work,
                 found,
             ):
-                projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
-                values[n] = np.log(max(projected, np.float32(0.5))) - signal[i]
+                values[n] = projected_signal(found[2], found[3], found[4], model.direction[g]) - signal[i]
                 n += 1
     return np.median(values[:n]) if n > 0 else np.float32(0)

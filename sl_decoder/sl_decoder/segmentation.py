@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sl_decoder.compiled import compiled
+from sl_decoder.planes import background, mark_maxima, smoothed, top_hat
 
 BLOCK = 32  # side of the squares in which noise is measured [px]
 SADDLE_RATIO = 0.8  # maxima that connect above this share of their height are one dot
@@ -30,16 +30,16 @@ MAX_BLOBS = 30000
 class Segments:
     """A segmented image with N blobs.
 
-    signal (H, W, 3) uint8: image above its background, under the 3x3 binomial filter that removes the mosaic's
-    frequency; hat (H, W) uint8 its largest channel; label (H, W) int32 blob index + 1 or 0; xs, ys (P,) int16 its
-    pixels blob by blob, start (N + 1,) int32 where each blob's begin; peak, floor (N,) float32 height of the blob and
-    of the background around it in `hat`; smooth (H, W, 3) uint8 the filtered image itself.
+    smooth (3, H, W) uint8: planes of the image under the 3x3 binomial filter that removes the mosaic's frequency;
+    background (3, ceil(H / 2), ceil(W / 2)) uint8 at half resolution; hat (H, W) uint8 the largest channel of what
+    stands above it; label (H, W) int16 blob index + 1 or 0; xs, ys (P,) int16 its pixels blob by blob, start (N + 1,)
+    int32 where each blob's begin; peak, floor (N,) float32 height of the blob and of the background around it in `hat`.
     """
 
-    signal: NDArray[np.uint8]
     smooth: NDArray[np.uint8]
+    background: NDArray[np.uint8]
     hat: NDArray[np.uint8]
-    label: NDArray[np.int32]
+    label: NDArray[np.int16]
     xs: NDArray[np.int16]
     ys: NDArray[np.int16]
     start: NDArray[np.int32]
@@ -52,7 +52,10 @@ class Segments:
 
 @compiled
 def measure_noise(hat, factor, floor, threshold):
-    """Level and threshold of the background per block, from low percentiles (dots cover the smaller part)."""
+    """Level (float32) and threshold (uint8) of the background per block, from low percentiles.
+
+    Dots cover the smaller part.
+    """
     h, w = hat.shape
     ny, nx = floor.shape
     low = np.empty((ny, nx), np.float32)
@@ -93,60 +96,45 @@ def measure_noise(hat, factor, floor, threshold):
                     b += deviation[y, x] * k
                     n += k
             floor[by, bx] = a / n
-            threshold[by, bx] = a / n + max(3.0, factor * b / n)
+            threshold[by, bx] = np.uint8(min(254.0, a / n + max(3.0, factor * b / n)))
 
 
 @compiled
-def flood(hat, level, threshold, label, xs, ys, start, peak, base):
+def flood(hat, level, threshold, maximum, label, xs, ys, start, peak, base):
     """Blobs around the maxima of the top-hat.
 
     From every local maximum, pixels connected above SADDLE_RATIO of its height belong to the same dot, whatever small
-    maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. Writes label (H,
-    W) int32 (must be zero) and the pixels' xs, ys int16 blob by blob; start, peak, base per blob. Returns the number
-    of blobs.
+    maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. maximum (H, W)
+    uint8: where to start. Writes label (H, W) int16 (must be zero) and the pixels' xs, ys int16 blob by blob; start,
+    peak, base per blob. Returns the number of blobs.
     """
     h, w = hat.shape
-    capacity = len(xs)
-    most = len(peak)
     n = 0
     end = 0
-    limits = np.empty(w, np.uint8)
     flat = hat.ravel()
     mark = label.ravel()
+    begin = maximum.ravel()
     around = (-w - 1, -w, -w + 1, -1, 1, w - 1, w, w + 1)
-    for y in range(1, h - 1):
-        if y == 1 or y % BLOCK == 0:
-            for x in range(w):
-                limits[x] = np.uint8(min(254.0, threshold[y // BLOCK, x // BLOCK]))
-        row = y * w
-        for x in range(1, w - 1):
-            i = row + x
+    right = (-1, 0, 1, -1, 1, -1, 0, 1)
+    down = (-1, -1, -1, 0, 0, 1, 1, 1)
+    chunks = begin[: len(begin) // 8 * 8].view(np.uint64)
+    for chunk in range(len(chunks) + 1):
+        if chunk < len(chunks) and chunks[chunk] == 0:
+            continue
+        for i in range(8 * chunk, min(8 * chunk + 8, len(begin))):
+            if begin[i] == 0 or mark[i] != 0 or n >= len(peak) or end + 64 > len(xs):
+                continue
+            y = i // w
+            x = i - y * w
+            floor = level[y // BLOCK, x // BLOCK]
             value = flat[i]
-            if value <= limits[x] or mark[i] != 0:
-                continue
-            # a maximum; of a plateau, its last pixel
-            if not (
-                value >= flat[i - 1]
-                and value > flat[i + 1]
-                and value >= flat[i - w]
-                and value > flat[i + w]
-                and value >= flat[i - w - 1]
-                and value >= flat[i - w + 1]
-                and value > flat[i + w - 1]
-                and value > flat[i + w + 1]
-            ):
-                continue
-            if n >= most or end + 64 > capacity:
-                break
-            floor = np.float32(level[y // BLOCK, x // BLOCK])
-            top = np.float32(value)
             n += 1
             first = end
             mark[i] = n
             xs[end] = x
             ys[end] = y
             end += 1
-            join = floor + np.float32(SADDLE_RATIO) * (top - floor)
+            join = np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor))
             head = first
             while head < end:
                 px, py = xs[head], ys[head]
@@ -154,18 +142,19 @@ def flood(hat, level, threshold, label, xs, ys, start, peak, base):
                 if px <= 0 or py <= 0 or px >= w - 1 or py >= h - 1:
                     continue
                 j = np.int64(py) * w + px
-                for step in around:
-                    k = j + step
-                    if mark[k] == 0 and flat[k] >= join and end < capacity:
+                for step in range(8):
+                    k = j + around[step]
+                    if flat[k] >= join and mark[k] == 0 and end < len(xs):
                         mark[k] = n
-                        yy = k // w
-                        xs[end] = k - yy * w
-                        ys[end] = yy
+                        xs[end] = px + right[step]
+                        ys[end] = py + down[step]
                         end += 1
-                        if flat[k] > top:
-                            top = np.float32(flat[k])
-                            join = floor + np.float32(SADDLE_RATIO) * (top - floor)
-            foot = max(floor + np.float32(FOOT_RATIO) * (top - floor), np.float32(limits[x]))
+                        if flat[k] > value:
+                            value = flat[k]
+                            join = np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor))
+            top = np.float32(value)
+            foot = max(floor + np.float32(FOOT_RATIO) * (top - floor), np.float32(threshold[y // BLOCK, x // BLOCK]))
+            least = np.int64(foot)
             head = first
             while head < end:
                 px, py = xs[head], ys[head]
@@ -174,14 +163,12 @@ def flood(hat, level, threshold, label, xs, ys, start, peak, base):
                     continue
                 j = np.int64(py) * w + px
                 here = flat[j]
-                for step in around:
-                    k = j + step
-                    value_k = flat[k]
-                    if value_k > foot and value_k <= here and mark[k] == 0 and end < capacity:
+                for step in range(8):
+                    k = j + around[step]
+                    if least < flat[k] <= here and mark[k] == 0 and end < len(xs):
                         mark[k] = n
-                        yy = k // w
-                        xs[end] = k - yy * w
-                        ys[end] = yy
+                        xs[end] = px + right[step]
+                        ys[end] = py + down[step]
                         end += 1
             start[n - 1] = first
             peak[n - 1] = top
@@ -190,45 +177,28 @@ def flood(hat, level, threshold, label, xs, ys, start, peak, base):
     return n
 
 
-def smoothed(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Image (H, W, 3) uint8 under the 3x3 binomial filter, which removes the frequency of a Bayer mosaic."""
-    return cv2.GaussianBlur(bgr, (3, 3), 0)
-
-
-def above_background(
-    bgr: NDArray[np.uint8], kernel: int
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Image (H, W, 3) above its background: (H, W, 3) uint8 signal, (H, W) its largest channel, (H, W, 3) smoothed.
-
-    kernel: side of the opening [px]; the background is found at half resolution.
-    """
-    h, w = bgr.shape[:2]
-    smooth = smoothed(bgr)
-    half = cv2.resize(smooth, ((w + 1) // 2, (h + 1) // 2), interpolation=cv2.INTER_AREA)
-    side = max(3, (kernel // 2) | 1)
-    half = cv2.morphologyEx(half, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
-    signal = cv2.subtract(smooth, cv2.resize(half, (w, h), interpolation=cv2.INTER_NEAREST))
-    blue, green, red = cv2.split(signal)
-    return signal, cv2.max(cv2.max(blue, green), red), smooth
-
-
 def segment(bgr: NDArray[np.uint8], kernel: int) -> Segments:
     """Blobs of an image (H, W, 3) uint8.
 
     kernel: side of the opening [px], wider than a dot and not much wider than the dots' distance.
     """
-    signal, hat, smooth = above_background(bgr, kernel)
-    h, w = hat.shape
+    smooth = smoothed(bgr)
+    half = background(smooth, kernel)
+    h, w = bgr.shape[:2]
+    hat = np.empty((h, w), np.uint8)
+    top_hat(smooth, half, hat)
     shape = (-(-h // BLOCK), -(-w // BLOCK))
     level = np.empty(shape, np.float32)
-    threshold = np.empty(shape, np.float32)
+    threshold = np.empty(shape, np.uint8)
     measure_noise(hat, NOISE_FACTOR, level, threshold)
-    label = np.zeros((h, w), np.int32)
+    maximum = np.empty((h, w), np.uint8)
+    mark_maxima(hat, threshold, BLOCK, maximum)
+    label = np.zeros((h, w), np.int16)
     capacity = h * w // 2 + 64
     xs = np.empty(capacity, np.int16)
     ys = np.empty(capacity, np.int16)
     start = np.empty(MAX_BLOBS + 1, np.int32)
     peak = np.empty(MAX_BLOBS, np.float32)
     floor = np.empty(MAX_BLOBS, np.float32)
-    n = flood(hat, level, threshold, label, xs, ys, start, peak, floor)
-    return Segments(signal, smooth, hat, label, xs, ys, start[: n + 1], peak[:n], floor[:n])
+    n = flood(hat, level, threshold, maximum, label, xs, ys, start, peak, floor)
+    return Segments(smooth, half, hat, label, xs, ys, start[: n + 1], peak[:n], floor[:n])

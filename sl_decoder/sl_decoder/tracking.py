@@ -18,15 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sl_decoder.centres import Dots
-from sl_decoder.compiled import compiled
 from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, check_image
-from sl_decoder.growth import UNPREDICTED, predict
+from sl_decoder.following import follow, remember, weigh_on_map
 from sl_decoder.interpretation import Interpretation
-from sl_decoder.letters import LetterModel, letter_evidence
-from sl_decoder.matched import CIRCLE, measure_at
+from sl_decoder.letter_model import LetterModel
+from sl_decoder.matched import CIRCLE
+from sl_decoder.planes import smoothed
 from sl_decoder.recovery import matched_offset
-from sl_decoder.segmentation import smoothed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,177 +42,6 @@ class TrackerOptions:
     least_dots: int = 25
     longest_gap: float = 0.5
     reach: float = 0.35
-
-
-@compiled
-def follow(
-    index,
-    place,
-    shape,
-    claim,
-    smooth,
-    map_letters,
-    steps,
-    window,
-    letter_group,
-    direction,
-    offset,
-    circle,
-    reach,
-    centre,
-    colour,
-    covariance,
-    noise,
-    saturated,
-    signal,
-    holder_u,
-    holder_v,
-):
-    """Measure all dots around their predicted places.
-
-    index (V, U) int32: row of `place` (N, 2) predicted px and `shape` (N, 3) (footprint in lattice units) or -1.
-    Writes the per-dot arrays, claim (V, U) and the holders; returns the number of dots found.
-    """
-    rows, cols = index.shape
-    found = np.empty(7, np.float32)
-    mixes = np.empty((len(direction), 3), np.float32)
-    for g in range(len(direction)):
-        total = np.float32(0)
-        for c in range(3):
-            mixes[g, c] = max(direction[g, c], np.float32(0))
-            total += mixes[g, c]
-        for c in range(3):
-            mixes[g, c] /= total
-    n = 0
-    for v in range(rows):
-        for u in range(cols):
-            claim[v, u] = -1
-            i = index[v, u]
-            if i < 0:
-                continue
-            _, _, kind, ax, ay, bx, by = predict(index, place, v, u, steps)
-            if kind == UNPREDICTED:
-                continue
-            # footprint from lattice units to pixels: B K B^T
-            kxx, kxy, kyy = shape[i, 0], shape[i, 1], shape[i, 2]
-            cxx = ax * ax * kxx + 2 * ax * bx * kxy + bx * bx * kyy
-            cxy = ax * ay * kxx + (ax * by + bx * ay) * kxy + bx * by * kyy
-            cyy = ay * ay * kxx + 2 * ay * by * kxy + by * by * kyy
-            g = letter_group[map_letters[v, u]]
-            if not measure_at(
-                smooth,
-                place[i, 0],
-                place[i, 1],
-                cxx,
-                cxy,
-                cyy,
-                mixes[g],
-                ax,
-                ay,
-                bx,
-                by,
-                np.float32(reach),
-                circle,
-                found,
-            ):
-                continue
-            centre[n, 0], centre[n, 1] = found[0], found[1]
-            colour[n, 0], colour[n, 1], colour[n, 2] = found[2], found[3], found[4]
-            covariance[n, 0], covariance[n, 1], covariance[n, 2] = cxx, cxy, cyy
-            noise[n] = found[5]
-            saturated[n] = found[6]
-            projected = found[2] * direction[g, 0] + found[3] * direction[g, 1] + found[4] * direction[g, 2]
-            signal[n] = np.log(max(projected, np.float32(0.5))) - offset
-            claim[v, u] = n
-            holder_v[n], holder_u[n] = v, u
-            n += 1
-    return n
-
-
-@compiled
-def weigh_on_map(
-    claim,
-    colour,
-    signal,
-    noise,
-    map_letters,
-    window,
-    letter_group,
-    direction,
-    spread,
-    profile_mean,
-    profile_spread,
-    level,
-    level_spread,
-    stray,
-    evidence,
-    letter,
-):
-    """Letter evidence of all held dots against the field of their neighbours on the map."""
-    rows, cols = claim.shape
-    for v in range(rows):
-        for u in range(cols):
-            i = claim[v, u]
-            if i < 0:
-                continue
-            field = np.float32(0)
-            square = np.float32(0)
-            m = 0
-            for p in range(1, len(window)):
-                vv, uu = v + window[p, 1], u + window[p, 0]
-                if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
-                    value = signal[claim[vv, uu]] - level[map_letters[vv, uu]]
-                    field += value
-                    square += value * value
-                    m += 1
-            if m == 0:
-                field = signal[i] - level[map_letters[v, u]]
-                variance = np.float32(0.25)
-            else:
-                field /= m
-                variance = max(square / m - field * field, np.float32(1e-3)) * (np.float32(0.5) + np.float32(1) / m)
-            letter[i] = letter_evidence(
-                colour[i, 0],
-                colour[i, 1],
-                colour[i, 2],
-                np.float32(np.nan),
-                signal[i],
-                field,
-                variance,
-                noise[i],
-                letter_group,
-                direction,
-                spread,
-                profile_mean,
-                profile_spread,
-                level,
-                level_spread,
-                stray,
-                evidence[i],
-            )
-
-
-@compiled
-def remember(claim, centre, covariance, steps, shape, basis_known):
-    """Footprints (V, U, 3) of the held dots in lattice units: B^-1 C B^-T."""
-    rows, cols = claim.shape
-    for v in range(rows):
-        for u in range(cols):
-            i = claim[v, u]
-            basis_known[v, u] = False
-            if i < 0:
-                continue
-            _, _, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
-            det = ax * by - ay * bx
-            if kind == UNPREDICTED or det <= 1e-3:
-                continue
-            c0, c1, c2 = covariance[i, 0], covariance[i, 1], covariance[i, 2]
-            p0, p1 = by / det, -bx / det
-            q0, q1 = -ay / det, ax / det
-            shape[v, u, 0] = p0 * p0 * c0 + 2 * p0 * p1 * c1 + p1 * p1 * c2
-            shape[v, u, 1] = p0 * q0 * c0 + (p0 * q1 + p1 * q0) * c1 + p1 * q1 * c2
-            shape[v, u, 2] = q0 * q0 * c0 + 2 * q0 * q1 * c1 + q1 * q1 * c2
-            basis_known[v, u] = True
 
 
 class Tracker:
@@ -302,9 +130,7 @@ class Tracker:
             smooth,
             book.letters,
             lattice.steps,
-            lattice.window,
-            decoder.alphabet.group,
-            model.direction,
+            model,
             self._offset,
             CIRCLE,
             self.options.reach,
@@ -325,13 +151,13 @@ class Tracker:
         reading.set_tracked(n)
         weigh_on_map(
             reading.claim,
+            n,
             reading.colour,
             reading.signal,
             reading.noise,
             book.letters,
             lattice.window,
-            decoder.alphabet.group,
-            *model.arrays(),
+            model,
             reading.evidence,
             reading.letter,
         )
@@ -359,8 +185,7 @@ class Tracker:
                 reading.signal,
                 book.letters,
                 book.lattice.steps,
-                self._decoder.alphabet.group,
-                self._model.direction,
+                self._model,
                 CIRCLE,
                 200,
             )

@@ -7,13 +7,14 @@ from hypothesis import strategies as st
 
 from sl_decoder import graph
 from sl_decoder.lattice import HEXAGONAL, SQUARE
+from sl_decoder.nearest import nearest
 
 
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 1000), n=st.integers(1, 120), k=st.sampled_from([4, 16]))
 def test_nearest_agrees_with_brute_force(seed: int, n: int, k: int) -> None:
     points = np.random.default_rng(seed).uniform(0, 100, (n, 2)).astype(np.float32) * np.array([1, 0.3], np.float32)
-    near = graph.nearest(points, k)
+    near = nearest(points, k)
     distance = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     for i in range(n):
@@ -34,7 +35,7 @@ def linked(lattice, angle: float, squeeze: float, rng: np.random.Generator):
     points = (plane @ affine.T + 200 + rng.normal(0, 0.15, plane.shape)).astype(np.float32)
     shape = affine @ affine.T * (8 / 17) ** 2 / 16 + 0.4 * np.eye(2)
     covariance = np.tile(np.array([shape[0, 0], shape[0, 1], shape[1, 1]], np.float32), (len(points), 1))
-    near = graph.nearest(points, graph.NEIGHBOURS)
+    near = nearest(points, graph.NEIGHBOURS)
     links = np.empty((len(points), lattice.directions), np.int32)
     quality = np.empty(len(points), np.float32)
     graph.local_bases(
@@ -75,4 +76,4 @@ def test_a_lattice_seen_obliquely_is_one_component_with_right_coordinates(lattic
 def test_few_points_do_no_harm() -> None:
     for n in range(4):
         points = np.random.default_rng(n).uniform(0, 50, (n, 2)).astype(np.float32)
-        assert graph.nearest(points, 8).shape == (n, 8)
+        assert nearest(points, 8).shape == (n, 8)
