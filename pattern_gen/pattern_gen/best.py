@@ -1,12 +1,16 @@
 """`--method best`: searches of different kinds take turns at a size; without a size, the size grows.
 
-Depth-first search with back-jumping fills the square grid along its shorter side: the two lines that still matter are
-then short, and back-tracking reaches them soon. On the hexagonal grid, where a cell's window mostly holds cells that
-were filled long ago, and for large distances, the focused local search wins.
+Turns are counted in steps and not in time: what is found, and in which order, depends on the seed alone; the time
+limit only ends the search. Depth-first search fills the square grid along its shorter side: the two lines that still
+matter are then short, and back-tracking reaches them soon. For h >= 2 on the square grid the search line by line goes
+furthest. On the hexagonal grid, where a cell's window mostly holds cells that were filled long ago, the focused local
+search wins.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import cycle
 from typing import Protocol
 
 import numpy as np
@@ -16,19 +20,26 @@ from pattern_gen import depth_first
 from pattern_gen.errors import SearchError
 from pattern_gen.fill_order import growth_order, growth_to, raster_order
 from pattern_gen.generation import Clock, Found, Progress, Report, Request
+from pattern_gen.line_search import MAX_ALPHABET as MAX_LINE_ALPHABET
+from pattern_gen.line_search import LineSearch
 from pattern_gen.local_search import LocalSearch
 from pattern_gen.pattern import Grid
-from pattern_gen.search import SLICE, Walker, most_windows
+from pattern_gen.search import Slices, Walker, most_windows
 from pattern_gen.windows import window_geometry
 
 TEMPERATURES = {Grid.SQUARE: (0.46, 0.40), Grid.HEXAGONAL: (0.40, 0.46)}
 MAX_REPAIR_WINDOWS = 100_000
+SMALL_CELLS = 300  # of maps for which the ascending orders are worth a try
+DEVIATION, DEVIATION_PATIENCE = 0.05, 100_000  # of the ascending order that differs from seed to seed
+FALLING_WEIGHTS = (0.5, 0.35)  # of the letters, see line_search
+CANDIDATES = 20
 
 
 class Searcher(Protocol):
-    """A search for a map of one size, run in slices."""
+    """A search for a map of one size."""
 
     exhausted: bool
+    turn_steps: int  # steps until the next kind has its turn: about half a second
 
     @property
     def filled(self) -> float:
@@ -40,8 +51,8 @@ class Searcher(Protocol):
         """Steps taken."""
         ...
 
-    def run(self, clock: Clock) -> bool:
-        """Go on for about SLICE seconds; True: the map is found."""
+    def run(self, steps: int) -> bool:
+        """Go on for about so many steps; True: the map is found."""
         ...
 
     def result(self) -> NDArray[np.uint8]:
@@ -49,27 +60,35 @@ class Searcher(Protocol):
         ...
 
 
-class DepthFirst:
-    """Depth-first search with back-jumping."""
+def _lying(request: Request, rows: int, cols: int) -> bool:
+    """A map is searched transposed, along its shorter side: a square map's mirror image is as good."""
+    return request.grid is Grid.SQUARE and cols > rows and request.band is None  # a band is about rows
 
-    def __init__(self, request: Request, rows: int, cols: int, seed: int, *, ascending: bool = False) -> None:
-        """`ascending`: the paper's order of cells and letters, which packs small alphabets well."""
-        # a square map's mirror image is as good; rows keep their meaning under the epipolar restriction
-        self._flipped = request.grid is Grid.SQUARE and cols > rows and request.band is None
+
+class DepthFirst:
+    """Depth-first search: at random with back-jumping, in ascending order with rare deviations, or as the paper."""
+
+    def __init__(
+        self, request: Request, rows: int, cols: int, seed: int, *, deviation: float = 1.0, growth: bool = False
+    ) -> None:
+        """`deviation`: see search_rules.Rules, 0: no back-jumping either; `growth`: the paper's order of cells."""
+        self._flipped = _lying(request, rows, cols) and not growth
         self._size = (cols, rows) if self._flipped else (rows, cols)
         geometry = window_geometry(request.grid, request.window)
-        if ascending:
-            self._flipped, self._size = False, (rows, cols)
+        if growth:
             order = growth_order(geometry, growth_to(request.window, rows, cols))
         else:
             order = raster_order(geometry, *self._size)
-        patience = 0 if ascending else 10_000 if request.alphabet >= 5 else 50_000
-        self._walker = Walker(request, order, self._size[1], patience=patience, seed=seed)
+        patience = 10_000 if request.alphabet >= 5 else 50_000
+        if deviation < 1.0:
+            patience = DEVIATION_PATIENCE if deviation > 0.0 else 0
+        self.turn_steps = max(300_000 if deviation == 1.0 else 1_000_000, 4 * rows * cols)
+        self._walker = Walker(request, order, self._size[1], patience=patience, deviation=deviation, seed=seed)
         self.exhausted = False
 
-    def run(self, clock: Clock) -> bool:
+    def run(self, steps: int) -> bool:
         """See Searcher."""
-        status = self._walker.run(clock)
+        status = self._walker.run(steps)
         self.exhausted = status == depth_first.EXHAUSTED
         return status == depth_first.DONE
 
@@ -89,10 +108,45 @@ class DepthFirst:
         return np.ascontiguousarray(symbols.T) if self._flipped else symbols
 
 
+class LineByLine:
+    """Search line by line along the shorter side; see line_search."""
+
+    exhausted = False
+    turn_steps = 100_000
+
+    def __init__(self, request: Request, rows: int, cols: int, seed: int, falling: float) -> None:
+        self._flipped = _lying(request, rows, cols)
+        self._lines, width = (cols, rows) if self._flipped else (rows, cols)
+        self._search = LineSearch(
+            self._lines, width, alphabet=request.alphabet, h=request.h, own=request.own, turns=request.orientations,
+            seed=seed, falling=falling, candidates=CANDIDATES,
+        )  # fmt: skip
+
+    def run(self, steps: int) -> bool:
+        """See Searcher."""
+        return self._search.run(steps)
+
+    @property
+    def filled(self) -> float:
+        """Part of the lines that were filled at once."""
+        return self._search.deepest / self._lines
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return self._search.steps
+
+    def result(self) -> NDArray[np.uint8]:
+        """See Searcher."""
+        symbols = self._search.symbols
+        return np.ascontiguousarray(symbols.T if self._flipped else symbols)
+
+
 class Repair:
     """Focused local search from a random map."""
 
     exhausted = False
+    turn_steps = 30_000
 
     def __init__(self, request: Request, rows: int, cols: int, seed: int, temperature: float) -> None:
         geometry = window_geometry(request.grid, request.window)
@@ -109,15 +163,10 @@ class Repair:
         )
         self._temperature = temperature
         self._windows = (rows - 2 * geometry.margin) * (cols - 2 * geometry.margin)
-        self._slice = 2_000
 
-    def run(self, clock: Clock) -> bool:
+    def run(self, steps: int) -> bool:
         """See Searcher."""
-        begin = clock.seconds
-        done = self._search.run(self._slice, self._temperature)
-        elapsed = max(clock.seconds - begin, 1e-4)
-        self._slice = int(np.clip(self._slice * SLICE / elapsed, 0.2 * self._slice, 5 * self._slice)) + 1
-        return done
+        return self._search.run(steps, self._temperature)
 
     @property
     def filled(self) -> float:
@@ -134,25 +183,29 @@ class Repair:
         return self._search.symbols.copy()
 
 
-def searchers(request: Request, rows: int, cols: int) -> list[Searcher]:
-    """The searches that take turns for a size, the most promising first."""
-    kinds: list[Searcher] = [DepthFirst(request, rows, cols, request.seed)]
+def searchers(request: Request, rows: int, cols: int) -> list[Callable[[], Searcher]]:
+    """The searches that take turns for a size, the quickest to try first; each is made when its first turn comes."""
+    seed = request.seed
+    kinds: list[Callable[[], Searcher]] = [lambda: DepthFirst(request, rows, cols, seed)]
     margin = request.window - 1
-    small = (rows - margin) * (cols - margin) <= MAX_REPAIR_WINDOWS
-    cells = rows * cols
-    if request.h >= 2 and request.band is None and small:
-        if request.grid is Grid.HEXAGONAL:
-            for turn, temperature in enumerate(TEMPERATURES[Grid.HEXAGONAL]):
-                kinds.append(Repair(request, rows, cols, request.seed + turn, temperature))
-        elif request.h >= 4:
-            kinds.append(DepthFirst(request, rows, cols, request.seed + 1))
-            kinds.append(Repair(request, rows, cols, request.seed, TEMPERATURES[Grid.SQUARE][0]))
-        elif cells < 2_000:
-            kinds.append(DepthFirst(request, rows, cols, request.seed + 1))
-    elif request.h == 1 and request.band is None and cells < 300:
-        kinds.append(Repair(request, rows, cols, request.seed, 0.3))
-    if cells < 300:
-        kinds.append(DepthFirst(request, rows, cols, request.seed, ascending=True))
+    windows = (rows - margin) * (cols - margin)
+    if rows * cols < SMALL_CELLS:
+        kinds.append(lambda: DepthFirst(request, rows, cols, seed, deviation=0.0))
+        kinds.append(lambda: DepthFirst(request, rows, cols, seed, deviation=DEVIATION))
+    if request.h >= 2 and request.band is None:
+        square = request.grid is Grid.SQUARE
+        if square and request.window == 3 and request.alphabet <= MAX_LINE_ALPHABET:
+            for turn, falling in enumerate(FALLING_WEIGHTS):
+                kinds.append(
+                    lambda turn=turn, falling=falling: LineByLine(request, rows, cols, seed + turn, falling)  # type: ignore[misc]
+                )
+        if windows <= MAX_REPAIR_WINDOWS and (not square or request.h >= 4):
+            for turn, temperature in enumerate(TEMPERATURES[request.grid]):
+                kinds.append(
+                    lambda turn=turn, temperature=temperature: Repair(request, rows, cols, seed + turn, temperature)  # type: ignore[misc]
+                )
+    if rows * cols < SMALL_CELLS:
+        kinds.append(lambda: DepthFirst(request, rows, cols, seed, deviation=0.0, growth=True))
     return kinds
 
 
@@ -166,26 +219,40 @@ class _Search:
         self.steps = 0
         self.exhausted = False
 
-    def find(self, rows: int, cols: int, limit: float) -> bool:
-        """Search until `limit` seconds on the clock; True when found (then in `best`)."""
-        kinds = searchers(self.request, rows, cols)
-        turn = 0
-        while self.clock.seconds < min(limit, self.clock.limit) or turn == 0:
-            kind = kinds[turn % len(kinds)]
-            found = kind.run(self.clock)
-            turn += 1
-            self.exhausted = kind.exhausted
-            if self.report is not None:
-                best = None if self.best is None else (int(self.best.shape[0]), int(self.best.shape[1]))
-                steps = self.steps + sum(other.steps for other in kinds)
-                self.report(Progress(rows, cols, kind.filled, best, self.clock.seconds, steps))
-            if found:
-                self.best, self.best_seconds = kind.result(), self.clock.seconds
-                break
-            if self.exhausted:
+    def find(self, rows: int, cols: int, rounds: int | None = None) -> bool:
+        """Search until the time is over, or for so many turns of every kind; True when found (then in `best`)."""
+        makers = searchers(self.request, rows, cols)
+        kinds: list[Searcher] = []
+        slices: list[Slices] = []
+        self.exhausted = False
+        for turn in cycle(range(len(makers))):
+            if turn == 0 and rounds is not None:
+                rounds -= 1
+                if rounds < 0:
+                    break
+            if turn == len(kinds):
+                kinds.append(makers[turn]())
+                slices.append(Slices(2_000))
+            if self._take_turn(kinds[turn], slices[turn], (rows, cols)) or self.clock.over or self.exhausted:
                 break
         self.steps += sum(kind.steps for kind in kinds)
         return self.best is not None and self.best.shape == (rows, cols)
+
+    def _take_turn(self, kind: Searcher, slices: Slices, size: tuple[int, int]) -> bool:
+        end = kind.steps + kind.turn_steps
+        while kind.steps < end:
+            begin = self.clock.seconds
+            found = kind.run(min(slices.steps, end - kind.steps))
+            slices.took(self.clock.seconds - begin)
+            self.exhausted = kind.exhausted
+            if found:
+                self.best, self.best_seconds = kind.result(), self.clock.seconds
+            if self.report is not None:
+                best = None if self.best is None else (int(self.best.shape[0]), int(self.best.shape[1]))
+                self.report(Progress(*size, kind.filled, best, self.clock.seconds, self.steps + kind.steps))
+            if found or self.exhausted or self.clock.over:
+                return found
+        return False
 
 
 def size_ladder(window: int, aspect: float, limit: int) -> list[tuple[int, int]]:
@@ -211,7 +278,7 @@ def search_best(
     """See search.search_map."""
     search = _Search(request, clock, report)
     if rows is not None and cols is not None:
-        if not search.find(rows, cols, clock.limit):
+        if not search.find(rows, cols):
             why = "no such map exists" if search.exhausted else f"not found within {clock.limit:g} s"
             hint = "" if search.exhausted else "; give it more time, a smaller size or more letters"
             raise SearchError(
@@ -239,8 +306,7 @@ def _climb(search: _Search, sizes: list[tuple[int, int]], clock: Clock) -> None:
     low, high, leap = -1, len(sizes), 1
     while low + 1 < high and not clock.over:
         target = min(low + leap, high - 1)
-        share = 1.0 if target == low + 1 else 0.15
-        if search.find(*sizes[target], clock.seconds + share * (clock.limit - clock.seconds)):
+        if search.find(*sizes[target], rounds=None if target == low + 1 else 1):
             low, leap = target, leap * 2
         elif search.exhausted:
             high, leap = target, 1

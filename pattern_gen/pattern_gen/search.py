@@ -2,60 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pattern_gen import depth_first, unique_codes
+from pattern_gen import depth_first, near_codes, unique_codes
 from pattern_gen.errors import SearchError
 from pattern_gen.fill_order import HEXAGONAL_ASPECT, FillOrder, growth_order, growth_sizes, growth_to
 from pattern_gen.generation import Clock, Found, Progress, Report, Request
 from pattern_gen.pattern import Grid
+from pattern_gen.search_rules import DEEPEST, STEPS, Rules
 from pattern_gen.windows import window_geometry
 
 SLICE = 0.15  # [s] between reports
 FIRST_STEPS = 20_000
 
 
-class Walker:
-    """One depth-first search, run in slices of about SLICE seconds."""
+class Slices:
+    """Numbers of steps that take about SLICE seconds: how often a search reports, never what it finds."""
 
-    def __init__(self, request: Request, order: FillOrder, cols: int, *, patience: int, seed: int) -> None:
+    def __init__(self, first: int = FIRST_STEPS) -> None:
+        self.steps = first
+
+    def took(self, seconds: float) -> None:
+        """Adapt to the time that `steps` steps took."""
+        self.steps = int(np.clip(self.steps * SLICE / max(seconds, 1e-4), 0.2 * self.steps, 5 * self.steps)) + 1
+
+
+class Walker:
+    """One depth-first search."""
+
+    def __init__(
+        self, request: Request, order: FillOrder, cols: int, *, patience: int, deviation: float, seed: int
+    ) -> None:
+        """`patience`, `deviation`: see search_rules.Rules."""
         geometry = window_geometry(request.grid, request.window)
         band = -1 if request.band is None else request.band
-        rules = depth_first.Rules(cols, request.alphabet, request.h, request.own, band, patience)
+        rules = Rules(cols, request.alphabet, request.h, request.own, band, patience, deviation)
         self.order, self.rules = order, rules
-        self.state: depth_first.State | unique_codes.State
-        self._search: Callable[..., int]
-        if request.h == 1 and band < 0:
-            self.state = unique_codes.prepare_unique(
-                order, rules, geometry=geometry, turns=request.orientations, seed=seed
-            )
-            self._search = unique_codes.search_unique
-        else:
-            self.state = depth_first.prepare(order, rules, geometry=geometry, turns=request.orientations, seed=seed)
-            self._search = depth_first.search
-        self._steps = FIRST_STEPS
+        prepare = unique_codes.prepare_unique if request.h == 1 and band < 0 else near_codes.prepare
+        self.state: near_codes.State | unique_codes.State = prepare(
+            order, rules, geometry=geometry, turns=request.orientations, seed=seed
+        )
 
-    def run(self, clock: Clock) -> int:
-        """Go on for one slice; returns depth_first.RUNNING, DONE or EXHAUSTED."""
-        begin = clock.seconds
-        status = int(self._search(self.state, self.order, self.rules, self._steps))
-        elapsed = clock.seconds - begin
-        self._steps = int(np.clip(self._steps * SLICE / max(elapsed, 1e-4), 0.2 * self._steps, 5 * self._steps)) + 1
-        return status
+    def adopt(self, symbols: NDArray[np.uint8], cells: int) -> None:
+        """Keep the first `cells` cells, in the order of filling, of a flat map."""
+        depth_first.adopt(self.state, self.order, self.rules, symbols, cells)
+
+    def run(self, steps: int) -> int:
+        """Go on for up to so many steps; returns depth_first.RUNNING, DONE or EXHAUSTED."""
+        return int(depth_first.search(self.state, self.order, self.rules, steps))
 
     @property
     def steps(self) -> int:
         """Steps taken."""
-        return int(self.state.counters[depth_first.STEPS])
+        return int(self.state.counters[STEPS])
 
     @property
     def deepest(self) -> int:
         """Most cells that were ever filled."""
-        return int(self.state.counters[depth_first.DEEPEST])
+        return int(self.state.counters[DEEPEST])
 
     def best(self, rows: int, cols: int) -> NDArray[np.uint8]:
         """The top left rows x cols cells of the largest whole map so far."""
@@ -87,6 +94,7 @@ def search_map(
     aspect: float = 4 / 3,
     method: str = "best",
     time_limit: float = 10.0,
+    processor_time: bool = False,
     report: Report | None = None,
 ) -> Found:
     """Search for a map of a given size, or for the largest one of an aspect ratio.
@@ -96,6 +104,7 @@ def search_map(
         aspect: width over height of the image that the map fills, used without a size.
         method: "paper" or "best".
         time_limit: in [s].
+        processor_time: the limit is on the processor's time instead of the clock's.
         report: called about every SLICE seconds.
 
     Raises:
@@ -105,7 +114,7 @@ def search_map(
         raise SearchError(f"unknown method {method!r}; known: paper, best")
     if (rows is None) != (cols is None):
         raise SearchError("give both rows and cols, or neither and an aspect ratio")
-    clock = Clock(time_limit)
+    clock = Clock(time_limit, processor=processor_time)
     if rows is not None and cols is not None:
         if min(rows, cols) < request.window:
             raise SearchError(f"a map of {rows}x{cols} holds no {request.window}x{request.window} window")
@@ -135,13 +144,16 @@ def _paper(
         sizes = growth_sizes(request.window, aspect, min(limit, 2 * most_windows(request) + 200))
     order = growth_order(geometry, sizes)
     total_cols = sizes[-1][1]
-    walker = Walker(request, order, total_cols, patience=0, seed=0)
+    walker = Walker(request, order, total_cols, patience=0, deviation=0.0, seed=0)
     ends = np.array([size[0] * size[1] for size in sizes])
     reached, best_seconds = -1, 0.0
+    slices = Slices()
     status = depth_first.RUNNING
     try:
         while status == depth_first.RUNNING and not clock.over:
-            status = walker.run(clock)
+            begin = clock.seconds
+            status = walker.run(slices.steps)
+            slices.took(clock.seconds - begin)
             now = int(np.searchsorted(ends, walker.deepest, side="right")) - 1
             if now > reached:
                 reached, best_seconds = now, clock.seconds

@@ -59,7 +59,7 @@ CELLS: list[Cell] = [
     *_cells("square", 1, "11x14 28x37 70x93 177x236 205x270 372x496 316x421",
             "11x14 49x65 187x251 520x693 1222x1630 1500x2000 1500x2000", _TO_8),
     *_cells("square", 3, "4x5* 9x12 14x18 23x30 44x58 57x75 75x100",
-            "4x5 9x12 18x24 32x43 59x79 99x132 159x212", _TO_8),
+            "4x5 9x12 18x24 32x43 62x83 99x132 159x212", _TO_8),
     *_cells("square", 5, "3x4* 4x5* 5x7 8x10 10x13 13x17 10x13", "3x4 4x5 6x7 8x10 10x13 13x17 16x21", _TO_8),
     Cell("hexagonal", 2, 1, "6x8", (6, 9), Reading.BASE),
     *_cells("hexagonal", 1, "9x13 14x20 15x22 27x40 28x42 28x42 45x68",
@@ -78,17 +78,19 @@ class Result:
     """What became of a cell.
 
     Attributes:
-        found: our map, None: the target was not reached in time.
-        seconds: process time of our search.
-        paper_size, paper_seconds: of the paper's algorithm, run here.
+        found: our map.
+        seconds: processor time of our search.
+        paper_size, paper_seconds: of the paper's algorithm, run here; None: no map.
+        paper_exhausted: it came to the end of its search space.
         verified: the map passed the verification.
     """
 
     cell: Cell
-    found: Found | None
+    found: Found
     seconds: float
     paper_size: tuple[int, int] | None
     paper_seconds: float
+    paper_exhausted: bool
     verified: bool
 
 
@@ -96,33 +98,35 @@ def compute(cell: Cell, *, time_limit: float, paper_time: float, seed: int = 0, 
     """Search for a cell's map with both methods and verify ours.
 
     Args:
-        time_limit: of our search in [s].
-        paper_time: of the paper's algorithm in [s]; 0: not run.
+        time_limit: of our search in [s] of processor time.
+        paper_time: of the paper's algorithm, likewise; 0: not run.
     """
     request = Request(alphabet=cell.alphabet, h=cell.h, grid=cell.grid, reading=cell.reading, seed=seed)
     aspect = 1.0 if cell.table == "morano" else 4 / 3
     start = time.process_time()
-    found: Found | None = None
     try:
-        found = search_map(request, rows=cell.target[0], cols=cell.target[1], time_limit=time_limit, report=report)
+        rows, cols = cell.target
+        found = search_map(request, rows=rows, cols=cols, time_limit=time_limit, processor_time=True, report=report)
     except SearchError:
         # the size was not reached: the largest of this aspect in as much time again
-        found = search_map(request, aspect=aspect, time_limit=time_limit, report=report)
+        found = search_map(request, aspect=aspect, time_limit=time_limit, processor_time=True, report=report)
     seconds = time.process_time() - start
-    paper_size, paper_seconds = None, 0.0
+    paper_size, paper_seconds, paper_exhausted = None, 0.0, False
     if paper_time > 0:
         try:
-            paper = search_map(request, aspect=aspect, method="paper", time_limit=paper_time, report=report)
-            paper_size, paper_seconds = paper.size, paper.seconds
+            paper = search_map(
+                request, aspect=aspect, method="paper", time_limit=paper_time, processor_time=True, report=report
+            )
+            paper_size, paper_seconds, paper_exhausted = paper.size, paper.seconds, paper.exhausted
         except SearchError:
             pass
     own_limit = cell.reading.own_distance(cell.h)
     check = verify_map(found.symbols, grid=cell.grid, alphabet=cell.alphabet, h=cell.h, own_limit=own_limit)
-    return Result(cell, found, seconds, paper_size, paper_seconds, check.problem is None)
+    return Result(cell, found, seconds, paper_size, paper_seconds, paper_exhausted, check.problem is None)
 
 
-def _size(size: tuple[int, int] | None) -> str:
-    return "-" if size is None else f"{size[0]}x{size[1]}"
+def _size(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"
 
 
 def rows_of(results: list[Result]) -> list[list[str]]:
@@ -133,9 +137,9 @@ def rows_of(results: list[Result]) -> list[list[str]]:
             str(result.cell.h),
             result.cell.reading.value,
             result.cell.paper,
-            _size(result.paper_size),
-            "-" if result.found is None else _size(result.found.size),
-            "-" if result.found is None else str((result.found.size[0] - 2) * (result.found.size[1] - 2)),
+            "-" if result.paper_size is None else _size(result.paper_size) + "*" * result.paper_exhausted,
+            _size(result.found.size),
+            str((result.found.size[0] - 2) * (result.found.size[1] - 2)),
             f"{result.seconds:.2f}",
             "yes" if result.verified else "NO",
         ]

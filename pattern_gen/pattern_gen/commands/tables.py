@@ -16,6 +16,8 @@ from pattern_gen.tables import CELLS, TITLES, as_csv, as_markdown, compute, pict
 from sl_common.commands import make_parser, run_command
 from sl_common.files import atomic_path, write_text
 
+MAX_FILE_CELLS = 1_000_000  # larger maps are drawn and listed, but not written
+
 
 def _parser() -> argparse.ArgumentParser:
     """The command's arguments."""
@@ -30,7 +32,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--table", choices=list(TITLES), action="append", help="only this table (may be repeated)")
     parser.add_argument("--hamming", type=int, action="append", help="only this distance (may be repeated)")
     parser.add_argument("--letters", type=int, action="append", help="only this alphabet size (may be repeated)")
-    parser.add_argument("--time-limit", type=float, default=60.0, help="of each search in s (default 60)")
+    parser.add_argument(
+        "--time-limit", type=float, default=60.0, help="of each search in s of processor time (default 60)"
+    )
     parser.add_argument("--paper-time", type=float, default=10.0, help="of the paper's algorithm in s, 0: leave it out")
     parser.add_argument("--seed", type=int, default=0, help="of the random choices")
     return parser
@@ -60,16 +64,14 @@ def _run(arguments: argparse.Namespace) -> None:
         finally:
             line.close()
         results.append(result)
-        reached = "not reached"
-        if result.found is not None:
-            reached = f"{result.found.size[0]}x{result.found.size[1]} in {result.seconds:.2f} s"
+        size = result.found.size
+        if size[0] * size[1] <= MAX_FILE_CELLS:
             request = Request(alphabet=cell.alphabet, h=cell.h, grid=cell.grid)
-            letters = choose_letters(cell.alphabet)
-            if result.found.symbols.size <= 1_000_000:
-                pattern = pattern_of(result.found.symbols, request, letters, (1024, 768))
-                pattern.save(arguments.output / f"{cell.name}.yaml")
-            with atomic_path(arguments.output / f"{cell.name}.png") as temporary:
-                cv2.imwrite(str(temporary), picture(result.found.symbols, cell.grid, cell.alphabet)[..., ::-1])
+            pattern = pattern_of(result.found.symbols, request, choose_letters(cell.alphabet), (1024, 768))
+            pattern.save(arguments.output / f"{cell.name}.yaml")
+        with atomic_path(arguments.output / f"{cell.name}.png") as temporary:
+            cv2.imwrite(str(temporary), picture(result.found.symbols, cell.grid, cell.alphabet)[..., ::-1])
+        reached = f"{size[0]}x{size[1]} in {result.seconds:.2f} s"
         print(f"{cell.table} a={cell.alphabet} h={cell.h}: {reached}, verified: {result.verified}", flush=True)
         write_text(arguments.output / "tables.md", as_markdown(results))
         write_text(arguments.output / "tables.csv", as_csv(results))
