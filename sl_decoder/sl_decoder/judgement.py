@@ -27,6 +27,7 @@ OFF_PLACE = 12.0
 ROUGHER = 1.6  # times the surroundings' mean residual, from which a dot is out of line
 SMOOTH_LIMIT = 0.07  # but never below this, nor below SMOOTH_FACTOR times the image's median residual
 SMOOTH_FACTOR = 8.0
+RECOVERED = -2.0  # log-odds of such a dot before all evidence: what was not segmented is often half lit, or half hidden
 # footprints: log of the smallest axis of a dot's footprint over its neighbours' mean footprint
 THIN_STEP, THIN_LEAST, THIN_BINS = 0.02, -2.0, 150  # histogram of the whole rings' footprints
 THIN_KIND = np.array(
@@ -43,7 +44,7 @@ SWEEPS = 6
 
 @compiled
 def thinness(c0, c1, c2, n0, n1, n2):
-    """Logarithm of the smallest axis (as a variance) of footprint c in units of footprint n: a dot cut in half has -1.3.
+    """Logarithm of the smallest axis (as a variance) of footprint c in units of footprint n; cut in half: -1.3.
 
     Both are covariances xx, xy, yy [px^2]: the smaller eigenvalue of n^-1 c."""
     det = max(n0 * n2 - n1 * n1, np.float32(1e-6))
@@ -194,6 +195,8 @@ def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
             shape = thin_evidence(thin[v, u], thin_middle, thin_spread * THIN_KIND[kind])
             shape -= np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
             own[v, u] = letter[v, u] + place + shape
+            if claim[v, u] >= segmented:
+                own[v, u] += np.float32(RECOVERED)
 
 
 @compiled
