@@ -48,6 +48,7 @@ MEANING = {
     "joint_trajectory": "setpoints that end at rest (joint_trajectory_controller)",
     "/diagnostics": "rates, figures and the reason when something is wrong, at 1 Hz",
     "~/debug_image": "dots, graph, letters, rows and columns drawn on the image; made only while subscribed",
+    "~/marked": "dots that the checks mark: x y z camera_u camera_v row col mark distance; mark as in docs/decoding.md",
     "~/object": "pose, motion and covariance of the tracked object",
     "~/reset_object": "forget the tracked object and begin anew with the next cloud",
     "~/status": "code and one sentence with the numbers, at 10 Hz and on change",

@@ -3,7 +3,7 @@
 A wrong code puts a dot at a wrong place of the projector image. The epipolar line catches it unless the error lies
 along the line; the triangulator refuses such dots. What is left shows as a wrong depth. The projector stands still, so
 a dot of a surface at rest keeps its point in the base frame whatever the camera does: the previous cloud, seen by the
-present camera, predicts every dot's pixel. A dot that is elsewhere while the dots around it are not has jumped alone. It
+present camera, predicts each pixel. A dot that is elsewhere while the dots around it are not has jumped alone. It
 is marked but kept, since the rim of a moving object does the same for one cloud: where an object moves, the dots on it
 move together and are not marked.
 

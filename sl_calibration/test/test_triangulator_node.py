@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, JointState, PointCloud2  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from sl_calibration.geometric_checks import Mark  # noqa: E402
 from sl_calibration.nodes.triangulator import Triangulator  # noqa: E402
 from sl_common import calibration_files, transforms  # noqa: E402
 from sl_common.cameras import CameraModel  # noqa: E402
@@ -69,8 +70,9 @@ class Cell:
         self.joints = self.peer.create_publisher(JointState, "joint_states", 10)
         self.info = self.peer.create_publisher(CameraInfo, "camera/camera_info", STREAM_PUBLISH)
         self.dots = self.peer.create_publisher(Correspondences, "correspondences", STREAM_PUBLISH)
-        self.clouds = []
+        self.clouds, self.marked = [], []
         self.peer.create_subscription(PointCloud2, "points", self.clouds.append, STREAM_SUBSCRIBE)
+        self.peer.create_subscription(PointCloud2, "/triangulator/marked", self.marked.append, STREAM_SUBSCRIBE)
         self.reload = self.peer.create_client(Trigger, "/triangulator/reload")
         self.description.publish(String(data=urdf()))
         matched = lambda: self.dots.get_subscription_count() and self.joints.get_subscription_count()  # noqa: E731
@@ -176,6 +178,24 @@ def test_camera_frame_on_request(make_cell):
     cloud = cell.show(message)
     np.testing.assert_allclose(np.stack([cloud["x"], cloud["y"], cloud["z"]], -1), points, atol=1e-5)
     assert cell.clouds[0].header.frame_id == "camera_optical_frame"
+
+
+def test_a_wrong_dot_is_marked_with_the_reason(make_cell):
+    cell = make_cell()
+    message = view(0.0)[3]
+    message.projector_u[7] += 60.0
+    message.projector_v[7] -= 45.0
+    cell.move(STAMP, Q0)
+    cell.spin(0.2)
+    cloud = cell.show(message)
+    cell.spin(1.0, lambda: cell.marked)
+    marked = clouds.from_message(cell.marked[0])
+    assert list(marked) == ["x", "y", "z", "camera_u", "camera_v", "row", "col", "mark", "distance"]
+    assert marked["row"].tolist() == [7]
+    assert marked["mark"].tolist() == [Mark.EPIPOLAR]
+    assert marked["distance"][0] > 2.0
+    assert 7 not in cloud["row"]
+    assert len(cloud["row"]) == 79
 
 
 def test_bad_messages_publish_nothing_and_the_node_lives(make_cell):

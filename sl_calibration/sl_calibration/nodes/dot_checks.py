@@ -1,4 +1,4 @@
-"""The triangulator's checks of every image: dots marked with the reason, on ~/marked and in the cloud."""
+"""The triangulator's checks of every image: what is marked goes out on ~/marked, with the reason."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from sl_common.ros.diagnostics import Diagnostics
 from sl_common.ros.qos import STREAM_PUBLISH
 from sl_common.ros.stamps import to_ns
 
+JUMPED_CONFIDENCE = 0.5
+"""The most that is left to a dot that jumped alone: as often a wrong code as the rim of something that moves."""
+
 
 class DotChecks:
     """Keeps the previous cloud, marks the dots of each image and publishes those that are marked."""
@@ -48,8 +51,8 @@ class DotChecks:
         dots: Dots,
         camera: CameraModel,
         base_from_camera: NDArray[np.float64],
-    ) -> tuple[Triangulation, NDArray[np.uint8]]:
-        """Return the triangulation without dots off their lines, and every dot's :class:`Mark` (N,) uint8."""
+    ) -> tuple[Triangulation, NDArray[np.float64]]:
+        """Return the triangulation without dots off their lines, and every dot's confidence (N,) after the checks."""
         gate = epipolar_gate(result.epipolar_distance, self._largest, self._options)
         result = refuse_off_line(result, gate)
         key, good = keys(dots.row, dots.col), result.valid
@@ -62,7 +65,7 @@ class DotChecks:
         self._diagnostics.set("epipolar gate [px]", gate)
         self._diagnostics.set("marked, jumped", int(jumped.sum()))
         self._publish(header, result, dots, mark, np.where(jumped, distance, result.epipolar_distance))
-        return result, mark
+        return result, np.where(jumped, np.minimum(dots.confidence, JUMPED_CONFIDENCE), dots.confidence)
 
     def _publish(
         self,

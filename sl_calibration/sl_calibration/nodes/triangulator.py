@@ -67,7 +67,7 @@ class Triangulator(Node):
                 self,
                 "max_epipolar_distance",
                 2.0,
-                "Dots farther from their epipolar line are refused; nearer ones too that are far off for the image's noise",
+                "Dots farther from their epipolar line are refused; nearer ones too if they are far off for the image",
                 unit="px",
                 minimum=0.01,
             ),
@@ -241,7 +241,7 @@ class Triangulator(Node):
         extrinsics = camera_from_projector(base_from_flange, flange_from_camera, base_from_projector)
         result = triangulate(camera, self._projector, extrinsics, dots.camera, dots.projector, self._options)
         base_from_camera = base_from_flange @ flange_from_camera
-        result, mark = self._checks.apply(message.header, result, dots, camera, base_from_camera)
+        result, confidence = self._checks.apply(message.header, result, dots, camera, base_from_camera)
         use = result.valid & (dots.confidence >= self._min_confidence)
         points, frame = result.points[use], message.header.frame_id
         row, col = dots.row[use], dots.col[use]
@@ -257,10 +257,9 @@ class Triangulator(Node):
             y=xyz[:, 1],
             z=xyz[:, 2],
             rgb=clouds.pack_rgb(self._colour(row, col)),
-            confidence=dots.confidence[use].astype(np.float32),
+            confidence=confidence[use].astype(np.float32),
             row=row.astype(np.uint16),
             col=col.astype(np.uint16),
-            mark=mark[use],
         )
         self._points.publish(cloud)
         self._report(result, len(points))
