@@ -277,6 +277,7 @@ def search_best(
 ) -> Found:
     """See search.search_map."""
     search = _Search(request, clock, report)
+    interrupted = False
     if rows is not None and cols is not None:
         if not search.find(rows, cols):
             why = "no such map exists" if search.exhausted else f"not found within {clock.limit:g} s"
@@ -292,13 +293,14 @@ def search_best(
         try:
             _climb(search, sizes or [(request.window, request.window)], clock)
         except KeyboardInterrupt:
+            interrupted = True
             if search.best is None:
                 raise
     if search.best is None:
         raise SearchError(
             f"no map with {request.alphabet} letters and distance {request.h} was found within {clock.limit:g} s"
         )
-    return Found(search.best, search.best_seconds, False, search.steps)
+    return Found(search.best, search.best_seconds, False, search.steps, interrupted)
 
 
 def _climb(search: _Search, sizes: list[tuple[int, int]], clock: Clock) -> None:

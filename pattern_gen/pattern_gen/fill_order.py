@@ -52,15 +52,15 @@ def raster_order(geometry: WindowGeometry, rows: int, cols: int) -> FillOrder:
     return FillOrder(cells, first, windows, np.full(len(windows), geometry.size - 1, np.int32), whole)
 
 
-def growth_sizes(window: int, aspect: float, limit: int) -> list[tuple[int, int]]:
-    """Sizes (rows, cols) of a map that grows from window x window by one column or one row at a time.
+def growth_sizes(window: int, aspect: float, limit: int, start: tuple[int, int] | None = None) -> list[tuple[int, int]]:
+    """Sizes (rows, cols) of a map that grows from window x window, or `start`, by one column or one row at a time.
 
     Section II.B: a column is added while the map stays within the aspect ratio (columns over rows), else a row.
 
     Args:
         limit: the last size has at least this many cells.
     """
-    rows = cols = window
+    rows, cols = start or (window, window)
     sizes = [(rows, cols)]
     while rows * cols < limit:
         if cols + 1 <= aspect * rows + 1e-9:
@@ -71,9 +71,10 @@ def growth_sizes(window: int, aspect: float, limit: int) -> list[tuple[int, int]
     return sizes
 
 
-def growth_to(window: int, rows: int, cols: int) -> list[tuple[int, int]]:
-    """Sizes of a map that grows to rows x cols, along its own aspect ratio."""
-    sizes = [size for size in growth_sizes(window, cols / rows, rows * cols) if size[0] <= rows and size[1] <= cols]
+def growth_to(window: int, rows: int, cols: int, start: tuple[int, int] | None = None) -> list[tuple[int, int]]:
+    """Sizes of a map that grows to rows x cols, along its own aspect ratio; `start`: not larger in either way."""
+    grown = growth_sizes(window, cols / rows, rows * cols, start)
+    sizes = [size for size in grown if size[0] <= rows and size[1] <= cols]
     while sizes[-1] != (rows, cols):
         last_rows, last_cols = sizes[-1]
         sizes.append((last_rows, last_cols + 1) if last_cols < cols else (last_rows + 1, last_cols))

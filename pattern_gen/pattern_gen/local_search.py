@@ -4,15 +4,10 @@ A conflict is a pair of windows, and a rotation, whose codes differ in fewer tha
 that has a conflict, a random cell of it, and draws the cell's letter from the heat bath: probability proportional to
 exp(-conflicts / temperature). All letters of a cell are judged by one look-up per window that holds the cell: with the
 cell itself masked out, a stored code at distance below h - 1 conflicts with every letter, one at exactly h - 1 with the
-letter that it has there.
-
-Look-ups use buckets on the letters of some of the other cells, see `buckets`. By rotation any cell of a window can be
-brought to one position of its class (corner, edge, centre), so each class has its tables.
+letter that it has there. The look-ups are in `repair_tables`.
 """
 
 from __future__ import annotations
-
-from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,113 +15,8 @@ from numpy.typing import NDArray
 
 from pattern_gen.buckets import cell_classes, choose_keys, table_layout
 from pattern_gen.packing import fold, packing, popcount, random_below, random_state, random_unit
+from pattern_gen.repair_tables import MAX_CANDIDATES, State, Tables, insert, letter_at, near, remove
 from pattern_gen.windows import WindowGeometry
-
-MAX_CANDIDATES = 16384  # near codes remembered for one cell
-
-
-class Tables(NamedTuple):
-    """Bucket tables, `count` classes times `tables` each; empty for a linear scan."""
-
-    weights: NDArray[np.int64]  # (classes, tables, n) key = sum of weight * letter
-    starts: NDArray[np.int64]  # (classes, tables) first bucket of the table in `fill`
-    fill: NDArray[np.int32]  # (buckets,) number of items
-    items: NDArray[np.int32]  # (buckets * capacity,)
-    slots: NDArray[np.int32]  # (classes, tables, entries) where an entry is inside its bucket
-    keys: NDArray[np.int32]  # (classes, tables, entries) bucket of an entry
-
-
-class State(NamedTuple):
-    """Everything the compiled search works on."""
-
-    symbols: NDArray[np.uint8]  # (rows, cols)
-    offsets: NDArray[np.int64]  # (2, n, 2)
-    rotations: NDArray[np.int64]  # (k, n) code rotated = code[rotations[k]]
-    inverse: NDArray[np.int64]  # (k, n) cell p stands at position inverse[k, p] of the rotated code
-    class_of: NDArray[np.int64]  # (n,) class of a cell
-    turn_of: NDArray[np.int64]  # (n,) the rotation that brings it to its class's position
-    place_of: NDArray[np.int64]  # (classes,) that position
-    pack: NDArray[np.uint64]  # see packing.packing
-    codes: NDArray[np.uint64]  # (windows * k,)
-    conflicts: NDArray[np.int32]  # (windows,)
-    active: NDArray[np.int32]  # (windows,) windows with conflicts, the first `counters[0]`
-    active_at: NDArray[np.int32]  # (windows,) index into `active`, -1: none
-    counters: NDArray[np.int64]  # (4,) active windows, conflicts, steps, overflow flag
-    random: NDArray[np.uint64]  # (1,)
-    found: NDArray[np.int32]  # (MAX_CANDIDATES, 4) near codes: own window's number, entry, distance, letter
-    local: NDArray[np.int32]  # (windows,) number of a window among those that hold the cell, -1: none
-
-
-@njit(cache=True, inline="always")
-def _letter_at(code: np.uint64, place: int, bits: np.uint64) -> Any:
-    field = (np.uint64(1) << bits) - np.uint64(1)
-    return np.int64((code >> (np.uint64(place) * bits)) & field)
-
-
-@njit(cache=True)
-def _insert(tables: Tables, table_class: int, table: int, entry: int, key: int, capacity: int) -> bool:
-    count = tables.fill[key]
-    if count == capacity:
-        return False
-    tables.items[key * capacity + count] = entry
-    tables.slots[table_class, table, entry] = count
-    tables.keys[table_class, table, entry] = key
-    tables.fill[key] = count + 1
-    return True
-
-
-@njit(cache=True)
-def _remove(tables: Tables, table_class: int, table: int, entry: int, capacity: int) -> None:
-    key = tables.keys[table_class, table, entry]
-    count = tables.fill[key] - 1
-    tables.fill[key] = count
-    slot = tables.slots[table_class, table, entry]
-    last = tables.items[key * capacity + count]
-    tables.items[key * capacity + slot] = last
-    tables.slots[table_class, table, last] = slot
-
-
-@njit(cache=True)
-def _near(
-    state: State, tables: Tables, capacity: int, h: int, entry: int, table_class: int, number: int, count: int
-) -> int:
-    """Append the codes at distance below h from code `entry`, without the class's cell, to state.found[count:]."""
-    bits = state.pack[0]
-    query = state.codes[entry]
-    place = state.place_of[table_class]
-    mask = ~(np.uint64(1) << (np.uint64(place) * bits))
-    turns = state.rotations.shape[0]
-    first = count
-    table_count = tables.weights.shape[1]
-    if table_count == 0:
-        for e in range(state.codes.shape[0]):
-            distance = popcount(fold(state.codes[e] ^ query, state.pack) & mask)
-            if distance < h and state.local[e // turns] < 0 and count < MAX_CANDIDATES:
-                state.found[count, 0] = number
-                state.found[count, 1] = e
-                state.found[count, 2] = distance
-                state.found[count, 3] = _letter_at(state.codes[e], place, bits)
-                count += 1
-        return count
-    for table in range(table_count):
-        key = tables.keys[table_class, table, entry]
-        base = key * capacity
-        for item in range(base, base + tables.fill[key]):
-            e = tables.items[item]
-            distance = popcount(fold(state.codes[e] ^ query, state.pack) & mask)
-            if distance < h and state.local[e // turns] < 0 and count < MAX_CANDIDATES:
-                known = False
-                for i in range(first, count):
-                    if state.found[i, 1] == e:
-                        known = True
-                        break
-                if not known:
-                    state.found[count, 0] = number
-                    state.found[count, 1] = e
-                    state.found[count, 2] = distance
-                    state.found[count, 3] = _letter_at(state.codes[e], place, bits)
-                    count += 1
-    return count
 
 
 @njit(cache=True)
@@ -180,15 +70,15 @@ def build(state: State, tables: Tables, capacity: int, h: int, own: int) -> bool
                 for t in range(tables.weights.shape[1]):
                     key = tables.starts[c, t]
                     for i in range(n):
-                        key += tables.weights[c, t, i] * _letter_at(code, i, bits)
-                    if not _insert(tables, c, t, entry, key, capacity):
+                        key += tables.weights[c, t, i] * letter_at(code, i, bits)
+                    if not insert(tables, c, t, entry, key, capacity):
                         return False
     place = state.place_of[0]
     for w in range(windows):
         state.local[w] = 0
-        count = _near(state, tables, capacity, h, w * turns, 0, 0, 0)
+        count = near(state, tables, capacity, h, w * turns, 0, 0, 0)
         state.local[w] = -1
-        letter = _letter_at(state.codes[w * turns], place, bits)
+        letter = letter_at(state.codes[w * turns], place, bits)
         for i in range(count):
             other = state.found[i, 1] // turns
             distance = state.found[i, 2] + (1 if state.found[i, 3] != letter else 0)
@@ -238,7 +128,7 @@ def _recolour(
     for k in range(m):
         p = position[k]
         begin = count
-        count = _near(state, tables, capacity, h, held[k] * turns + state.turn_of[p], state.class_of[p], k, count)
+        count = near(state, tables, capacity, h, held[k] * turns + state.turn_of[p], state.class_of[p], k, count)
         for i in range(begin, count):
             if state.found[i, 2] == h - 1:
                 cost[state.found[i, 3]] += 1
@@ -260,7 +150,7 @@ def _recolour(
                 distance = popcount(differ)
                 if distance >= limit or distance + 2 < limit:
                     continue
-                first, second = _letter_at(other, pa, bits), _letter_at(code, pb, bits)
+                first, second = letter_at(other, pa, bits), letter_at(code, pb, bits)
                 if first == second:
                     cost[first] += 1
                 elif distance + 1 < limit:
@@ -315,8 +205,8 @@ def _recolour(
                         step = tables.weights[c, t, at] * (new - old)
                         if step != 0:
                             key = tables.keys[c, t, entry] + step
-                            _remove(tables, c, t, entry, capacity)
-                            done = _insert(tables, c, t, entry, key, capacity) and done
+                            remove(tables, c, t, entry, capacity)
+                            done = insert(tables, c, t, entry, key, capacity) and done
     for k in range(m):
         state.local[held[k]] = -1
     return done

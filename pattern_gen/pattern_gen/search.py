@@ -1,4 +1,4 @@
-"""Searches driven in slices, so that they report, stop and keep the best; `--method paper`."""
+"""Searches driven in slices, to report, stop and keep the best; growth as in section II.B, method "paper"."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from pattern_gen.fill_order import HEXAGONAL_ASPECT, FillOrder, growth_order, gr
 from pattern_gen.generation import Clock, Found, Progress, Report, Request
 from pattern_gen.pattern import Grid
 from pattern_gen.search_rules import DEEPEST, STEPS, Rules
+from pattern_gen.verification import verify_map
 from pattern_gen.windows import window_geometry
 
 SLICE = 0.15  # [s] between reports
 FIRST_STEPS = 20_000
+GROWTH_PATIENCE = 50_000  # steps without progress before a map being enlarged jumps back
 
 
 class Slices:
@@ -95,6 +97,7 @@ def search_map(
     method: str = "best",
     time_limit: float = 10.0,
     processor_time: bool = False,
+    start: NDArray[np.uint8] | None = None,
     report: Report | None = None,
 ) -> Found:
     """Search for a map of a given size, or for the largest one of an aspect ratio.
@@ -104,6 +107,7 @@ def search_map(
         aspect: width over height of the image that the map fills, used without a size.
         method: "paper" or "best".
         time_limit: in [s].
+        start: (rows, cols) a map to enlarge: the top left part of what is found.
         processor_time: the limit is on the processor's time instead of the clock's.
         report: called about every SLICE seconds.
 
@@ -125,29 +129,77 @@ def search_map(
                 f"{rows}x{cols} has {windows} windows, at most {most} codes of {request.alphabet} letters can differ "
                 f"in {request.h} cells over all rotations; ask for a smaller map, more letters or a smaller distance"
             )
-    if method == "paper":
-        return _paper(request, rows, cols, map_aspect(request, aspect), clock, report)
+    image_aspect = map_aspect(request, aspect)
+    if start is not None:
+        _check_start(request, start, rows, cols)
+    if method == "paper" or start is not None:
+        return _grow(request, rows, cols, image_aspect, clock, report, start=start, ascending=method == "paper")
     from pattern_gen.best import search_best
 
-    return search_best(request, rows, cols, map_aspect(request, aspect), clock, report)
+    return search_best(request, rows, cols, image_aspect, clock, report)
 
 
-def _paper(
-    request: Request, rows: int | None, cols: int | None, aspect: float, clock: Clock, report: Report | None
+def _check_start(request: Request, start: NDArray[np.uint8], rows: int | None, cols: int | None) -> None:
+    check = verify_map(
+        start, grid=request.grid, alphabet=request.alphabet, h=request.h, own_limit=request.own,
+        window=request.window, rotations=request.invariant, band=request.band,
+    )  # fmt: skip
+    if check.problem is not None:
+        raise SearchError(f"the map to enlarge breaks the rules itself: {check.problem}")
+    if rows is not None and cols is not None and (rows < start.shape[0] or cols < start.shape[1]):
+        raise SearchError(
+            f"{rows}x{cols} does not hold the map to enlarge, {start.shape[0]}x{start.shape[1]}; ask for more rows "
+            "and columns"
+        )
+
+
+def _grow(
+    request: Request,
+    rows: int | None,
+    cols: int | None,
+    aspect: float,
+    clock: Clock,
+    report: Report | None,
+    *,
+    start: NDArray[np.uint8] | None,
+    ascending: bool,
 ) -> Found:
-    """Section II.B as written: lowest letter first, chronological back-tracking, growth by columns and rows."""
+    """Section II.B: growth by columns and rows from one window, or from a map to enlarge.
+
+    Args:
+        ascending: as written: lowest letter first, chronological back-tracking; else at random with back-jumping.
+    """
     geometry = window_geometry(request.grid, request.window)
+    start_size = None if start is None else (int(start.shape[0]), int(start.shape[1]))
     if rows is not None and cols is not None:
-        sizes = growth_to(request.window, rows, cols)
+        sizes = growth_to(request.window, rows, cols, start_size)
     else:
         limit = 1_500_000 if request.h == 1 and request.band is None else 60_000
-        sizes = growth_sizes(request.window, aspect, min(limit, 2 * most_windows(request) + 200))
+        limit = max(min(limit, 2 * most_windows(request) + 200), 0 if start is None else 2 * start.size)
+        sizes = growth_sizes(request.window, aspect, limit, start_size)
     order = growth_order(geometry, sizes)
-    total_cols = sizes[-1][1]
-    walker = Walker(request, order, total_cols, patience=0, deviation=0.0, seed=0)
-    ends = np.array([size[0] * size[1] for size in sizes])
-    reached, best_seconds = -1, 0.0
+    patience, deviation, seed = (0, 0.0, 0) if ascending else (GROWTH_PATIENCE, 1.0, request.seed)
+    walker = Walker(request, order, sizes[-1][1], patience=patience, deviation=deviation, seed=seed)
+    if start is not None:
+        canvas = np.zeros(sizes[-1], np.uint8)
+        canvas[: start.shape[0], : start.shape[1]] = start
+        walker.adopt(canvas.reshape(-1), start.size)
+    return _follow_growth(request, walker, sizes, clock, report, exactly=rows is not None)
+
+
+def _follow_growth(
+    request: Request,
+    walker: Walker,
+    sizes: list[tuple[int, int]],
+    clock: Clock,
+    report: Report | None,
+    *,
+    exactly: bool,
+) -> Found:
+    """Run a growing search to its end; `exactly`: only the last size will do."""
+    ends = np.array([rows * cols for rows, cols in sizes])
     slices = Slices()
+    reached, best_seconds, interrupted = -1, 0.0, False
     status = depth_first.RUNNING
     try:
         while status == depth_first.RUNNING and not clock.over:
@@ -159,15 +211,16 @@ def _paper(
                 reached, best_seconds = now, clock.seconds
             if report is not None:
                 best = sizes[reached] if reached >= 0 else None
-                report(Progress(*sizes[min(reached + 1, len(sizes) - 1)], walker.deepest / len(order.cells), best,
-                                clock.seconds, walker.steps))  # fmt: skip
+                part = walker.deepest / int(ends[-1])
+                report(Progress(*sizes[min(reached + 1, len(sizes) - 1)], part, best, clock.seconds, walker.steps))
     except KeyboardInterrupt:
-        if reached < 0 or rows is not None:
+        interrupted = True
+        if reached < 0 or exactly:
             raise
     exhausted = status == depth_first.EXHAUSTED
-    if reached < 0 or (rows is not None and status != depth_first.DONE):
+    if reached < 0 or (exactly and status != depth_first.DONE):
         why = "no such map exists" if exhausted else f"not found within {clock.limit:g} s"
-        size = f"{rows}x{cols}" if rows is not None else "of any size"
+        size = f"{sizes[-1][0]}x{sizes[-1][1]}" if exactly else "of any size"
         got = f"; the largest was {sizes[reached][0]}x{sizes[reached][1]}" if reached >= 0 else ""
         raise SearchError(f"map {size} with {request.alphabet} letters and distance {request.h}: {why}{got}")
-    return Found(walker.best(*sizes[reached]), best_seconds, exhausted, walker.steps)
+    return Found(walker.best(*sizes[reached]), best_seconds, exhausted, walker.steps, interrupted)

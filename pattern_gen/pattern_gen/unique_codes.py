@@ -112,6 +112,18 @@ def allowed_letters(state: State, rules: Rules, window: int, place: int) -> np.u
 
 
 @njit(cache=True)
+def _place_of(state: State, cols: int, window: int, cell: int) -> int:
+    """Position of a cell in a window, -1: it lies outside."""
+    width = cols - 2 * state.margin[0]
+    col = state.margin[0] + window % width
+    centre = (state.margin[0] + window // width) * cols + col
+    for i in range(state.steps.shape[2]):
+        if centre + state.steps[col & 1, 0, i] == cell:
+            return i
+    return -1
+
+
+@njit(cache=True)
 def choose(state: State, order: FillOrder, rules: Rules, depth: int) -> int:
     """In random order: the free letter that leaves the next cell the most free letters; ties at random.
 
@@ -123,6 +135,11 @@ def choose(state: State, order: FillOrder, rules: Rules, depth: int) -> int:
         return pick(free, state.random, rules.deviation)
     cell, next_cell = order.cells[depth], order.cells[depth + 1]
     place = order.places[begin]
+    before = place - 1  # where the cell stands in the next window, in raster order
+    if cell + 1 != next_cell:
+        before = _place_of(state, rules.cols, order.windows[begin], cell)
+        if before < 0:
+            return pick(free, state.random, rules.deviation)
     state.symbols[cell] = 0
     state.symbols[next_cell] = 0
     code = _encode(state, rules.cols, order.windows[begin], 0)
@@ -130,7 +147,7 @@ def choose(state: State, order: FillOrder, rules: Rules, depth: int) -> int:
     for letter in range(rules.alphabet):
         if (free >> np.uint64(letter)) & np.uint64(1):
             left = 0
-            base = code + letter * state.powers[place - 1]
+            base = code + letter * state.powers[before]
             for other in range(rules.alphabet):
                 if not _has(state, base + other * state.powers[place]):
                     left += 1

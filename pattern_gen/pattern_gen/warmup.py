@@ -21,7 +21,8 @@ def warm_up() -> float:
         for h in (1, 3):
             request = Request(alphabet=5, h=h, grid=grid)
             search_map(request, rows=4, cols=5, time_limit=300.0)
-            search_map(request, rows=4, cols=5, method="paper", time_limit=300.0)
+            small = search_map(request, rows=4, cols=5, method="paper", time_limit=300.0)
+            search_map(request, rows=4, cols=5, start=small.symbols, time_limit=300.0)
         Repair(Request(alphabet=5, h=3, grid=grid), 4, 5, 0, 0.4).run(1_000)
     LineByLine(Request(alphabet=5, h=3), 4, 5, 0, 0.5).run(1_000)
     return time.monotonic() - start

@@ -67,6 +67,33 @@ def test_generate_options(tmp_path, options):
         assert pattern.cols / pattern.rows == pytest.approx(16 / 9, rel=0.15)
 
 
+def test_generate_enlarges_a_file_with_its_letters(tmp_path):
+    small, large = tmp_path / "small.yaml", tmp_path / "large.yaml"
+    done = run("generate", "--letters", 6, "--hamming", 3, "--rows", 12, "--cols", 16, "--projector", "640x480",
+               "--output", small)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    done = run("generate", "--enlarge", small, "--rows", 15, "--cols", 20, "--output", large)
+    assert done.returncode == 0, done.stderr
+    assert run("verify", large).returncode == 0
+    before, after = Pattern.load(small), Pattern.load(large)
+    assert after.symbols.shape == (15, 20)
+    assert np.array_equal(after.symbols[:12, :16], before.symbols)
+    assert after.letters == before.letters
+    assert (after.projector_width, after.projector_height) == (640, 480)
+    message = failed(run("generate", "--enlarge", small, "--rows", 9, "--cols", 20, "--output", large))
+    assert "9x20 does not hold the map to enlarge, 12x16" in message
+
+
+def test_generate_finds_a_map_once_and_says_so(tmp_path):
+    size = ["--letters", 6, "--hamming", 3, "--rows", 13, "--cols", 17, "--output", tmp_path / "p.yaml"]
+    first, again, anew = run("generate", *size), run("generate", *size), run("generate", "--no-cache", *size)
+    assert "from the cache" not in first.stdout
+    assert "from the cache" in again.stdout
+    assert again.stdout.startswith(first.stdout.split(", found")[0])
+    assert anew.stdout.split(", found")[0] == first.stdout.split(", found")[0]
+    assert "from the cache" not in anew.stdout
+
+
 def failed(done):
     assert done.returncode == 1
     assert done.stderr.startswith("error: ")
@@ -119,6 +146,8 @@ def test_export_failures_leave_nothing(tmp_path):
     ("command", "arguments"),
     [
         ("generate", []),
+        ("generate", ["--output", "x"]),
+        ("generate", ["--enlarge", READY, "--letters", 6, "--output", "x"]),
         ("generate", ["--letters", 6, "--rows", 4, "--output", "x"]),
         ("generate", ["--letters", 6, "--time-limit", -1, "--output", "x"]),
         ("export", [READY]),

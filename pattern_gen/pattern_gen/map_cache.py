@@ -1,0 +1,95 @@
+"""Maps found before, in the user's cache folder, by everything that decides what is found.
+
+The folder is $XDG_CACHE_HOME/pattern_gen/maps, ~/.cache/pattern_gen/maps by default; it may be removed at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pattern_gen.generation import Found, Report, Request
+from sl_common.files import atomic_path
+
+SEARCH_VERSION = 2  # goes up when a search finds other maps for the same request
+
+
+def cache_folder() -> Path:
+    """Where the maps are kept."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "pattern_gen" / "maps"
+
+
+def cached_search(
+    request: Request,
+    *,
+    rows: int | None = None,
+    cols: int | None = None,
+    aspect: float = 4 / 3,
+    method: str = "best",
+    time_limit: float = 10.0,
+    start: NDArray[np.uint8] | None = None,
+    cache: bool = True,
+    report: Report | None = None,
+) -> Found:
+    """As search.search_map, but a map that was found before is read instead.
+
+    A map of a given size is the same however long the search took; without a size the time limit decides, too.
+
+    Args:
+        cache: False: neither read nor write.
+
+    Raises:
+        SearchError: see search_map. A folder that cannot be read or written costs the search, nothing else.
+    """
+    from pattern_gen.search import search_map
+
+    path = None
+    if cache:
+        options = {name: value.value if isinstance(value, Enum) else value for name, value in asdict(request).items()}
+        options |= {"version": SEARCH_VERSION, "method": method}
+        options |= {"aspect": aspect, "time_limit": time_limit} if rows is None else {"rows": rows, "cols": cols}
+        if start is not None:
+            options["start"] = [start.shape, hashlib.sha256(np.ascontiguousarray(start).tobytes()).hexdigest()]
+        key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()
+        path = cache_folder() / f"{key[:32]}.npz"
+        found = _read(path, request.alphabet)
+        if found is not None:
+            return found
+    found = search_map(
+        request, rows=rows, cols=cols, aspect=aspect, method=method, time_limit=time_limit, start=start, report=report
+    )
+    if path is not None and not found.interrupted:
+        try:
+            _write(path, found)
+        except OSError:
+            pass  # a cache that cannot be written is no reason to lose the map
+    return found
+
+
+def _read(path: Path, alphabet: int) -> Found | None:
+    """The map in a file; None: there is none, or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            symbols = data["symbols"]
+            found = Found(symbols, float(data["seconds"]), bool(data["exhausted"]), int(data["steps"]), cached=True)
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+    if symbols.dtype != np.uint8 or symbols.ndim != 2 or symbols.size == 0 or symbols.max() >= alphabet:
+        return None
+    return found
+
+
+def _write(path: Path, found: Found) -> None:
+    with atomic_path(path) as temporary:
+        np.savez_compressed(
+            temporary, symbols=found.symbols, seconds=found.seconds, exhausted=found.exhausted, steps=found.steps
+        )
