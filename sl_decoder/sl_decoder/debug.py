@@ -11,13 +11,11 @@ from sl_decoder.decoded import REASON_TEXT, Decoded, Reason
 
 _REASON_COLOUR = {
     Reason.SATURATED: (255, 255, 255),
-    Reason.TOO_SMALL: (160, 160, 160),
-    Reason.NO_NEIGHBOURS: (110, 110, 110),
+    Reason.TOO_SMALL: (170, 170, 170),
+    Reason.NO_NEIGHBOURS: (255, 255, 0),
     Reason.INCONSISTENT: (0, 140, 255),
     Reason.UNKNOWN_CODE: (0, 255, 255),
     Reason.IMPROBABLE: (255, 0, 255),
-    Reason.EPIPOLAR: (0, 60, 255),
-    Reason.DEPTH: (0, 60, 160),
     Reason.MIRRORED: (255, 128, 128),
 }
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates

@@ -14,14 +14,12 @@ class Reason(IntEnum):
 
     DECODED = 0
     SATURATED = 1  # most of its core is saturated: no letter can be read
-    TOO_SMALL = 2  # too few pixels for a dot of this lattice
+    TOO_SMALL = 2  # too few pixels for a dot of this lattice, or of any
     NO_NEIGHBOURS = 3  # no lattice around it
     INCONSISTENT = 4  # its neighbourhood contradicts itself
     UNKNOWN_CODE = 5  # its window is not in the map, nor near to what is
     IMPROBABLE = 6  # belongs to a decoded patch by position, but letter, place or neighbours speak against it
-    EPIPOLAR = 7  # off the epipolar line of the known geometry
-    DEPTH = 8  # far from the surface that the previous cloud predicts
-    MIRRORED = 9  # seen in a mirror: its windows are in the mirrored map only
+    MIRRORED = 7  # seen in a mirror: its windows are in the mirrored map only
 
 
 REASON_TEXT = {
@@ -32,8 +30,6 @@ REASON_TEXT = {
     Reason.INCONSISTENT: "inconsistent",
     Reason.UNKNOWN_CODE: "unknown code",
     Reason.IMPROBABLE: "improbable",
-    Reason.EPIPOLAR: "off the epipolar line",
-    Reason.DEPTH: "off the previous cloud",
     Reason.MIRRORED: "mirrored",
 }
 

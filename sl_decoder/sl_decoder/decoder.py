@@ -17,6 +17,7 @@ from sl_decoder.colours import Colours
 from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
 from sl_decoder.interpretation import Interpretation
 from sl_decoder.lattice import from_axial, to_axial
+from sl_decoder.reasons import explain
 
 SMALLEST_IMAGE = 16  # side [px]
 LEAST_BELIEF = 2.0  # log-odds below which a dot is never given
@@ -25,7 +26,6 @@ KERNEL_SHARE = 1 / 36  # of the image's width: a pattern of some sixty columns t
 WIDER_KERNEL = 2.6  # times the usual side, for dots seen from near
 WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
 BLURS = (0.3, 0.0, 0.6, 0.3)  # metrics in which what is left is linked once more [px^2]
-SATURATED_SHARE = 0.5  # of a dot's core, from which its letter is not trusted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,15 +130,7 @@ class Decoder:
         m = reading.segmented
         if reading.n < len(book.lattice.window):
             return nothing(blobs=m, rejected=m, decode_time=time.perf_counter() - start)
-        reason = np.full(reading.n, Reason.DECODED, np.uint8)
-        reason[:m] = Reason.UNKNOWN_CODE
-        reason[:m][reading.at < 0] = Reason.NO_NEIGHBOURS
-        reason[:m][reading.conflicts] = Reason.INCONSISTENT
-        reason[reading.saturated[: reading.n] > SATURATED_SHARE] = Reason.SATURATED
-        reason[reading.banned_v[: reading.n] >= 0] = Reason.IMPROBABLE
-        reason[reading.holder_v[: reading.n] >= 0] = Reason.DECODED
-        if reading.mirrored:
-            reason[:m][reading.mirrored_dots] = Reason.MIRRORED
+        reason = explain(reading)
         map_v, map_u = np.nonzero(reading.claim >= 0)
         row, col = from_axial(map_u, map_v - book.v_offset, hexagonal=book.hexagonal)
         if book.hexagonal:

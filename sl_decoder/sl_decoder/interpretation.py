@@ -69,6 +69,7 @@ class Interpretation:
         self.mirrored = False
         self.mirrored_dots = np.zeros(n, np.bool_)
         self.at = np.full(n, -1, np.int32)
+        self.near = np.empty((0, graph.NEIGHBOURS), np.int32)  # none without a graph, as in tracking
 
     def build_graph(self) -> None:
         """Lattice links and connected components."""
