@@ -116,13 +116,19 @@ def build_surface(points: Array, row: NDArray[np.int64], col: NDArray[np.int64],
 
 
 def segment(
-    points: Array, row: NDArray[np.int64], col: NDArray[np.int64], eye: Array, options: TrackingOptions | None = None
+    points: Array,
+    row: NDArray[np.int64],
+    col: NDArray[np.int64],
+    eye: Array,
+    options: TrackingOptions | None = None,
+    known: BoolArray | None = None,
 ) -> BoolArray:
     """Return which points (N,) belong to the object of interest: the connected surface nearest to the eye.
 
     Neighbours in the pattern are connected where their distance is not much larger than usual. Patches of fewer than
-    ``least_points`` do not count; of the others, that with the smallest median distance is chosen. Raises
-    TrackingLostError where there is none.
+    ``least_points`` do not count; of the others, that with the smallest median distance is chosen. Where some points
+    are ``known`` (N,) to lie on the object, the patch with most of them is: seen from elsewhere, another may be
+    nearer. Raises TrackingLostError where there is none.
     """
     o = options or TrackingOptions()
     count = len(points)
@@ -141,14 +147,14 @@ def segment(
     _, label = connected_components(graph, directed=False)
     size = np.bincount(label)
     range_ = np.linalg.norm(points - eye, axis=-1)
-    best, nearest = -1, np.inf
-    for k in np.flatnonzero(size >= o.least_points):
-        median = float(np.median(range_[label == k]))
-        if median < nearest:
-            best, nearest = int(k), median
-    if best < 0:
+    large = np.flatnonzero(size >= o.least_points)
+    if len(large) == 0:
         raise TrackingLostError(f"no connected surface of {o.least_points} points; the largest has {size.max()}")
-    return label == best
+    if known is not None and known.any():
+        best = max(large, key=lambda k: int(known[label == k].sum()))
+    else:
+        best = min(large, key=lambda k: float(np.median(range_[label == k])))
+    return np.asarray(label == best)
 
 
 def register(
@@ -260,7 +266,11 @@ class ObjectTracker:
             col: (N,) of the dots.
             eye: (3,) position of the camera in the base frame [m].
         """
-        chosen = segment(points, row, col, eye, self.options)
+        known = None
+        if self._reference is not None and len(points):
+            distance = cKDTree(self._reference.points).query(transforms.apply(self._pose, points))[0]
+            known = distance < self.options.reach / 2
+        chosen = segment(points, row, col, eye, self.options, known)
         points, row, col = points[chosen], row[chosen], col[chosen]
         if self._reference is None:
             surface = build_surface(points, row, col, eye)

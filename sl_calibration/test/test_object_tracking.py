@@ -119,3 +119,15 @@ def test_loss_is_said_and_does_not_end_the_tracking():
 def test_options_decide_what_is_enough():
     with pytest.raises(TrackingLostError, match="at least 2000"):
         segment(scan(plane, START), ROW, COL, EYE, TrackingOptions(least_points=2000))
+
+
+def test_the_object_is_kept_when_another_one_comes_nearer():
+    """The eye moves over: the neighbour is nearer to it then, but the object followed is the first one's."""
+    left = COL < 15
+    depth = np.where(left, 1.0 + wavy(RAYS[:, 0], RAYS[:, 1]), 1.15 + wavy(RAYS[:, 1], RAYS[:, 0]))
+    points = RAYS * depth[:, None]
+    tracker = ObjectTracker()
+    tracker.update(points, ROW, COL, EYE)
+    motion = tracker.update(points, ROW, COL, np.array([0.6, 0.0, 0.9]))
+    assert motion.centre[0] < 0
+    assert np.linalg.norm(transforms.log(motion.reference_from_now)) < 5e-4

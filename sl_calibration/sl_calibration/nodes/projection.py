@@ -1,10 +1,12 @@
 """Driving what the projector shows, with an acknowledgement for each frame."""
 
+import time
+
 from rclpy.node import Node
 
 from pattern_gen.gray_code import Axis
 from pattern_gen.projection import FrameRequest, Mode
-from sl_calibration.nodes.awaiting import within
+from sl_calibration.nodes.awaiting import sleep, within
 from sl_common.errors import InvalidInputError
 from sl_common.ros.stamps import to_ns
 from sl_msgs.srv import SetProjection
@@ -22,6 +24,9 @@ class Projection:
 
     async def show(self, frame: FrameRequest) -> int:
         """Show a frame and return its stamp [ns]; raises InvalidInputError where it is not shown."""
+        end = time.monotonic() + _ANSWER
+        while not self._client.service_is_ready() and time.monotonic() < end:
+            await sleep(self._node, 0.1)
         if not self._client.service_is_ready():
             raise InvalidInputError(f"pattern_publisher is not running: no service {self._client.srv_name}")
         request = SetProjection.Request(

@@ -16,11 +16,17 @@ from scipy.stats import f as fisher
 
 from sl_calibration.self_calibration.bundle_adjustment import consider, covariance, normal_equations
 from sl_calibration.self_calibration.bundle_problem import Linearisation, Problem, State, linearise
+from sl_calibration.self_calibration.initialise import sum_by
 
 Array = NDArray[np.float64]
 
 _PARAMETERS = 6
 _LEVEL = 0.95
+_BLOCK = 8
+"""Side of the blocks of dots whose errors may be alike; farther apart they are not."""
+
+_LEAST_BLOCKS = 12
+
 LEAST_FREEDOM = 2.0
 """Degrees of freedom below which the factor grows no more: the views hardly tell the robot's noise then."""
 
@@ -50,7 +56,47 @@ def covariances(problem: Problem, state: State) -> Covariances:
     found = covariance(normal_equations(problem, lin))
     parameters, dots, _ = consider(problem.layout, problem.considered, *found) if problem.considered else found
     more_parameters, more_dots = _of_uncertain_noise(problem, lin, found[0], found[2])
-    return Covariances(parameters + more_parameters, dots + more_dots)
+    parameters = parameters + more_parameters
+    widening = np.ones(len(parameters))
+    # Flange poses and the camera's intrinsics come from few dots of few blocks each: theirs stays as it is.
+    shared = problem.layout.projector.stop
+    observed = np.diag(_of_blocks(problem, lin, found[0]) + more_parameters)
+    assumed = np.diag(found[0] + more_parameters)
+    widening[:shared] = np.sqrt(np.maximum(observed / assumed, 1.0))[:shared]
+    return Covariances(parameters * np.outer(widening, widening), dots + more_dots)
+
+
+def _of_blocks(problem: Problem, lin: Linearisation, parameters: Array) -> Array:
+    """Return the covariance (P, P) that the errors themselves show, blocks of neighbouring dots being independent.
+
+    The sandwich estimate with clusters: errors of a surface's shading or of a lens are alike over many dots and in all
+    views, which no white noise explains. The pose prior counts as it is.
+    """
+    layout, observations = problem.layout, problem.observations
+    count = len(observations.dots)
+    common = np.concatenate([np.arange(6), np.arange(layout.camera.start, layout.variance.stop)])
+    start = layout.view(0).start
+    # At the minimum the gradient by each dot is zero: what is left is that by the parameters.
+    score = np.zeros((count, layout.size))
+    residual = lin.camera_residual[:, :, None]
+    by_common = (np.swapaxes(lin.camera_common, -1, -2) @ residual)[:, :, 0]
+    score[:, common] = sum_by(observations.point, by_common, count)
+    rows = start + 6 * observations.view[:, None] + np.arange(6)
+    by_view = (np.swapaxes(lin.camera_view, -1, -2) @ residual)[:, :, 0]
+    np.add.at(score, (observations.point[:, None], rows), by_view)
+    by_projector = (np.swapaxes(lin.projector_common, -1, -2) @ lin.projector_residual[:, :, None])[:, :, 0]
+    score[:, 6 : layout.projector.stop] += by_projector
+
+    place = observations.dots // _BLOCK
+    _, block = np.unique(place[:, 0] * 10_000 + place[:, 1], return_inverse=True)
+    blocks = sum_by(block.reshape(-1), score, int(block.max()) + 1)
+    if len(blocks) < _LEAST_BLOCKS:
+        return parameters
+    meat = blocks.T @ blocks * (len(blocks) / (len(blocks) - 1))
+    poses = np.arange(start, layout.size)
+    meat[poses, poses] += (lin.pose_slope**2).ravel()
+    meat[layout.variance, layout.variance] += lin.variance_residual[1] ** 2
+    return np.asarray(parameters @ meat @ parameters, dtype=np.float64)
 
 
 def _of_uncertain_noise(problem: Problem, lin: Linearisation, parameters: Array, cross: Array) -> tuple[Array, Array]:
