@@ -25,7 +25,7 @@ LEAST_KERNEL = 12  # side of the background filter [px]
 KERNEL_SHARE = 1 / 36  # of the image's width: a pattern of some sixty columns that fills the image has this pitch
 WIDER_KERNEL = 2.6  # times the usual side, for dots seen from near
 WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
-BLURS = (0.3, 0.0, 0.6, 0.3)  # metrics in which what is left is linked once more [px^2]
+BLURS = (0.3, 0.0, 0.6, None, 0.3)  # metrics in which what is left is linked once more [px^2]
 
 
 @dataclass(frozen=True, kw_only=True)

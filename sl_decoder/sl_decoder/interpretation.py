@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_decoder import graph, growth, judgement, letters, placement, recovery, voting
+from sl_decoder import graph, growth, judgement, letters, orientation, placement, recovery, voting
 from sl_decoder.alphabet import Alphabet
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
@@ -141,15 +141,25 @@ class Interpretation:
         score = voting.vote(self.cell, self.at, self.width, self.letter, book.lattice.window, book.alphabet, book.codes)
         self.letter[: self.n] = voting.elect(score, self.letter[: self.n])
 
-    def place_rest(self, blur: float) -> int:
+    def _link_by_orientation(self) -> None:
+        """Lattice links of all dots in the two directions that the histogram of the whole image shows."""
+        n = self.segmented
+        shape = graph.smooth_shapes(self.covariance[:n], self.near, graph.BLUR)
+        self.links, self.quality = orientation.links(self.centre[:n], shape, self.near, self.book.lattice.directions)
+
+    def place_rest(self, blur: float | None) -> int:
         """Place what is left: components of the dots that hold no element yet; returns how many dots that gave.
 
         A link that jumps over a depth edge joins surfaces whose lattices do not continue each other; all beyond it has
         wrong coordinates, or two of them. Without the dots that are decoded, what is left falls apart into its own
-        lattices. blur: of the metric in which they are linked [px^2]; none is right for all dots of all images.
+        lattices. blur: of the metric in which they are linked [px^2], none is right for all dots of all images; None:
+        as the paper links them.
         """
         n = self.segmented
-        self._link(blur)
+        if blur is None:
+            self._link_by_orientation()
+        else:
+            self._link(blur)
         free = (self.holder_v[:n] < 0) & ~self.mirrored_dots
         at, conflicts = self.at, self.conflicts
         linked = (self.links >= 0) & free[self.links] & free[:, None]
