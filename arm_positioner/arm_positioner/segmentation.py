@@ -2,8 +2,7 @@
 
 Dots that are neighbours in the projected pattern are neighbours on the surface, unless the surface breaks between them.
 A break shows as a gap that is long against the spacing of the dots around it (light that grazes a surface does not come
-back), as an edge along the line of sight, or as a step that neither side continues into. Only points with several
-unbroken edges join patches: a single wrong point is no bridge.
+back), or as a step that neither side continues into. Only points with several unbroken edges join patches.
 """
 
 import numpy as np
@@ -17,8 +16,6 @@ Indices = NDArray[np.int64]
 
 _LONGEST_EDGE = 3.5
 """Edges longer than this multiple of the local spacing are gaps; a surface tilted by 70 degrees stretches them by 3."""
-_GRAZING = 0.12
-"""Sine of the angle between a long edge and the line of sight below which it is a jump in depth, not a surface."""
 _WINDOW = 3
 """Rows and columns around a dot from which its spacing is judged: more than the rim of an object is wide."""
 _CORE = 4
@@ -27,25 +24,20 @@ _STEP = 0.6
 """Steps higher than this share of the local spacing, missed by the extrapolation from both sides, are breaks."""
 
 
-def components(
-    points: Array, row: NDArray | None = None, col: NDArray | None = None, viewpoint: Array | None = None
-) -> Indices:
+def components(points: Array, row: NDArray | None = None, col: NDArray | None = None) -> Indices:
     """Label the coherent patches of a cloud.
 
     Args:
         points: (N, 3) finite points [m].
         row: (N,) row of each dot in the pattern, or None: neighbours are then found by distance alone.
         col: (N,) column of each dot.
-        viewpoint: (3,) the camera's position [m]; None: not known.
 
     Returns labels (N,), 0 for the largest patch, 1 for the next and so on.
     """
     n = len(points)
     if n == 0:
         return np.zeros(0, dtype=np.int64)
-    edges, size = _near_edges(points) if row is None or col is None else _map_edges(points, row, col)
-    if viewpoint is not None:
-        edges = edges[~_along_sight(points, edges, size, viewpoint)]
+    edges = _near_edges(points) if row is None or col is None else _map_edges(points, row, col)
     core = np.bincount(edges.ravel(), minlength=n) >= _CORE
     labels = _connected(edges[core[edges].all(axis=1)], n)
     # the others belong to a core beside them, or to nobody
@@ -61,15 +53,6 @@ def components(
 def _connected(edges: Indices, n: int) -> Indices:
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def _along_sight(points: Array, edges: Indices, size: Array, viewpoint: Array) -> NDArray[np.bool_]:
-    """Tell which edges (M, 2) lie along the line of sight though they are longer than noise would make them."""
-    edge = points[edges[:, 1]] - points[edges[:, 0]]
-    sight = points[edges].mean(axis=1) - viewpoint
-    length = np.linalg.norm(edge, axis=1)
-    sine = np.linalg.norm(np.cross(edge, sight), axis=1) / np.maximum(length * np.linalg.norm(sight, axis=1), 1e-15)
-    return (sine < _GRAZING) & (length > 1.5 * np.minimum(size[edges[:, 0]], size[edges[:, 1]]))
 
 
 def nearest_component(
@@ -105,22 +88,20 @@ def spacing(points: Array) -> float:
     return float(np.median(distance[:, 1]))
 
 
-def _near_edges(points: Array) -> tuple[Indices, Array]:
-    """Return the edges (M, 2) between near points, each once, and the spacing around each point (N,) [m]."""
+def _near_edges(points: Array) -> Indices:
+    """Return the edges (M, 2) between near points, each once."""
     k = min(9, len(points))
     if k < 2:
-        return np.zeros((0, 2), dtype=np.int64), np.zeros(len(points))
+        return np.zeros((0, 2), dtype=np.int64)
     distance, index = cKDTree(points).query(points, k=k)
     scale = distance[:, min(4, k - 1)]
     a, b, length = np.repeat(np.arange(len(points)), k - 1), index[:, 1:].ravel(), distance[:, 1:].ravel()
     keep = length <= _LONGEST_EDGE * np.minimum(scale[a], scale[b])
-    return np.unique(np.sort(np.stack([a[keep], b[keep]], axis=1), axis=1), axis=0), scale
+    return np.unique(np.sort(np.stack([a[keep], b[keep]], axis=1), axis=1), axis=0)
 
 
-def _map_edges(points: Array, row: NDArray, col: NDArray) -> tuple[Indices, Array]:
-    """Return the edges (M, 2) between neighbours in row, column and diagonal that no break cuts, and the spacing of the
-    dots around each point (N,) [m].
-    """
+def _map_edges(points: Array, row: NDArray, col: NDArray) -> Indices:
+    """Return the edges (M, 2) between neighbours in row, column and diagonal that no break cuts."""
     row, col = np.asarray(row, dtype=np.int64), np.asarray(col, dtype=np.int64)
     grid = np.full((row.max() + 7, col.max() + 7), -1, dtype=np.int64)
     grid[row + 3, col + 3] = np.arange(len(points))  # a margin of three spares all border checks
@@ -135,7 +116,7 @@ def _map_edges(points: Array, row: NDArray, col: NDArray) -> tuple[Indices, Arra
         miss = np.fmin(_second_difference(points, before, a, b), _second_difference(points, a, b, after))
         keep = (length <= _LONGEST_EDGE * size) & ~(miss > _STEP * np.maximum(size, length / 2))
         found.append(np.stack([a[keep], b[keep]], axis=1))
-    return np.concatenate(found), scale
+    return np.concatenate(found)
 
 
 def _spacing_around(points: Array, row: Indices, col: Indices, grid: Indices) -> Array:

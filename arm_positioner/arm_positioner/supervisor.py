@@ -1,4 +1,4 @@
-"""The state machine that owns the stream: starts, watches and ends motions, always by a stop within the limits."""
+"""The state machine over one arm: starts, watches and ends motions, always by a stop within the limits."""
 
 import threading
 import time
@@ -8,23 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_positioner import watchdog
-from arm_positioner.errors import Code, InvalidGoalError, PausedError, PositionerError, SupersededError
+from arm_positioner.errors import Code, InvalidGoalError, PositionerError
 from arm_positioner.limits import JointLimits
 from arm_positioner.measured_arm import MeasuredArm
-from arm_positioner.measurement import CommandHistory
-from arm_positioner.pace import Pace
-from arm_positioner.planning import Planner, require_regular_motion
-from arm_positioner.starting import StreamStart
-from arm_positioner.stream import SetpointStream
+from arm_positioner.motion import Motion
+from arm_positioner.permission import Permission
+from arm_positioner.planning import Planner
 from arm_positioner.task import Kind, Outcome, Task
 from arm_positioner.trajectory import MotionState, Trajectory
 from arm_positioner.watchdog import WatchOptions
 from sl_common.kinematics import Kinematics
 
 Array = NDArray[np.float64]
-
-_LOOK_AHEAD = 0.15
-"""How far ahead on the trajectory the condition number is looked at [s]: about the time it takes to slow down."""
 
 
 class Supervisor:
@@ -53,17 +48,14 @@ class Supervisor:
         self.code, self.message = Code.IDLE, "at rest, no target yet"
         self.arm = MeasuredArm(kinematics, rest_motion=self.options.rest_motion)
         self._planner = planner
-        self._stream = SetpointStream(limits, period)
-        self._commands = CommandHistory(self.options.driver_lag)
-        self._start = StreamStart(self._stream, self.arm.joints, self._commands, self.options)
-        self._pace = Pace(self.options.thresholds, self.arm.conditioning.at)
+        self._motion = Motion(self.arm, limits, period, self.options)
+        self._stream = self._motion.stream
+        self._permission = Permission()
         self._clock = clock
         self._lock = threading.RLock()
         self._planning_lock = threading.Lock()
         self._task: Task | None = None
         self._ending: Outcome | None = None
-        self._paused = self._closed = False
-        self._order = 0
 
     @property
     def flange_from_camera(self) -> Array:
@@ -86,8 +78,7 @@ class Supervisor:
     def order(self) -> int:
         """Return the number of a new order: orders before it that wait for something do not begin any more."""
         with self._lock:
-            self._order += 1
-            return self._order
+            return self._permission.order()
 
     def begin(
         self,
@@ -118,23 +109,20 @@ class Supervisor:
         order = self.order() if order is None else order
         with self._planning_lock:
             with self._lock:
-                self._require_ready(order)
-                self._start.ensure(self._clock())
-                assert self._stream.state is not None
-                current = self._stream.state.position
+                self._permission.require(order)
+                current = self._motion.begin(self._clock())
             plan = self._planner.choose(
                 target, self.flange_from_camera, current, lambda q: self._preview(q, duration), free_roll=free_roll
             )
             with self._lock:
-                self._require_ready(order)
-                motion = self._stream.move(plan.positions, duration=duration)
+                self._permission.require(order)
+                motion = self._motion.move(plan.positions, duration=duration)
                 if self._task is not None:
                     self._task.finish(Outcome(Code.STOPPED, "replaced by a new target"))
                 self._task = Task(kind, plan.base_from_camera, plan.positions, follow=follow, time=self._clock())
                 if kind is not Kind.SERVO:
                     self._task.arrive_at = self._clock() + motion.duration
                 self._ending = None
-                self._pace.restart()
                 self._report_moving(self._task)
                 return self._task
 
@@ -145,36 +133,34 @@ class Supervisor:
         """
         with self._planning_lock:
             with self._lock:
-                if task is not self._task or self._ending is not None or self._paused:
+                if not self._is_running(task):
                     return
                 task.target_time = self._clock()
                 goal = task.goal
                 if task.held is not None and not self._stream.is_moving:
                     try:
-                        self._start.ensure(self._clock())
+                        self._motion.begin(self._clock())
                     except PositionerError as error:
                         self._end(Outcome(error.code, str(error)))
                         return
             try:
                 positions = self._planner.follow(target, self.flange_from_camera, goal).positions
                 with self._lock:
-                    if task is not self._task or self._ending is not None or self._paused:
+                    if not self._is_running(task):
                         return
-                    self._stream.move(
-                        positions, duration=max(task.arrive_at - self._clock(), 0.0), speed=self._pace.speed
-                    )
+                    self._motion.steer(positions, duration=max(task.arrive_at - self._clock(), 0.0))
                     task.goal, task.target, task.rest_since, task.held = positions, target, None, None
                     self._report_moving(task)
             except PositionerError as error:
                 with self._lock:
-                    if task is self._task:
+                    if self._is_running(task):
                         self._hold(task, Outcome(error.code, str(error)))
 
     def confirm(self, task: Task) -> None:
         """Note that the cloud still shows the object of a task whose target stays."""
         with self._lock:
             task.target_time = self._clock()
-            if task is self._task and task.held is not None and task.held.code is Code.LOST_CLOUD and not self._paused:
+            if self._is_running(task) and task.held is not None and task.held.code is Code.LOST_CLOUD:
                 self._resume(task)
 
     def cancel(self, task: Task, outcome: Outcome) -> None:
@@ -189,54 +175,53 @@ class Supervisor:
         Raises PositionerError where the motion cannot go on; the task is then ended.
         """
         with self._lock:
-            if paused:
-                if self._ending is None:
-                    self._paused = True
-                    self._interrupt()
-                    self._report(Code.PAUSED, self._rest_message("paused by ~/pause"))
-                return self.message
-            if not self._paused:
+            if not paused and not self._permission.paused:
                 return "not paused"
-            self._paused = False
-            if self._task is None:
+            self._permission.paused = paused
+            if self._ending is not None:  # it is being brought to rest already, and its task is over
+                return f"{'paused' if paused else 'resumed'}; {self.message}"
+            if paused:
+                self._interrupt()
+                self._report(Code.PAUSED, self._rest_message("paused by ~/pause"))
+            elif self._task is None:
                 self._report(Code.IDLE, "at rest, no target")
                 return "resumed, no target"
-            self._resume(self._task)
+            else:
+                self._resume(self._task)
             return self.message
 
     def stop(self, reason: str = "stopped by ~/stop") -> str:
-        """Bring the arm to rest and end the task; returns what happens."""
+        """Bring the arm to rest and end the task, and whatever waits to become one; returns what happens.
+
+        A pause stays in force.
+        """
         with self._lock:
-            self._order += 1  # a goal that still waits for a cloud must not begin after a stop
-            self._paused = False
+            self._permission.void()
             self._end(Outcome(Code.STOPPED, reason))
             return self.message
 
     def close(self, reason: str = "stopped: the node shuts down") -> None:
         """Stop and take no task any more."""
         with self._lock:
-            self._closed = True
+            self._permission.closed = True
             self.stop(reason)
 
     def fail(self, reason: str) -> None:
         """End everything at once: no setpoint will leave any more."""
         with self._lock:
-            self._closed = True
+            self._permission.closed = True
             self._finish(Outcome(Code.INVALID_INPUT, reason))
 
     def tick(self) -> MotionState | None:
         """Advance by one control period and return the setpoint to send; None at rest."""
         now = self._clock()
         with self._lock:
-            if self._task is not None and self._ending is None and not self._paused:
+            if self._task is not None and self._is_running(self._task):
                 try:
                     self._check(self._task, now)
                 except Exception as error:  # a defect in what watches must not break off the stream in mid-motion
                     self._end(Outcome(Code.INVALID_INPUT, f"the watch failed: {error!r}"))
-            setpoint = self._stream.advance()
-            if setpoint is not None:
-                self._commands.add(now, setpoint.position)
-                self._start.sent(now)
+            setpoint = self._motion.advance(now)
             if self._stream.fault and self._ending is None and self._task is not None:
                 self._end(Outcome(Code.INVALID_INPUT, f"setpoint held back: {self._stream.fault}"))
             if not self._stream.is_moving:
@@ -283,10 +268,13 @@ class Supervisor:
         with self._lock:
             return self.arm.error(task.target)
 
+    def _is_running(self, task: Task) -> bool:
+        return task is self._task and self._ending is None and not self._permission.paused
+
     def _check(self, task: Task, now: float) -> None:
         """Compare everything that is watched with its limits; end or hold the task."""
         options = self.options
-        problem = watchdog.stale_joints(now - self.arm.joints.newest_time, options) or self._deviation()
+        problem = watchdog.stale_joints(now - self.arm.joints.newest_time, options) or self._motion.deviation()
         if problem is None and self._stream.is_moving:
             problem = watchdog.stale_target(task, now, options)
         if problem := problem or watchdog.waited_too_long(task, now, options):
@@ -296,35 +284,22 @@ class Supervisor:
         elif self._stream.is_moving and task.held is None:
             self._check_singularity(task)
 
-    def _deviation(self) -> Outcome | None:
-        measured = self.arm.joints.newest
-        if measured is None:
-            return None
-        off = self._commands.deviation(self.arm.joints.newest_time, measured)
-        return watchdog.deviation(off, self._stream.limits.names, self.options)
-
     def _check_singularity(self, task: Task) -> None:
-        ahead = self._stream.ahead(_LOOK_AHEAD)
-        assert ahead is not None
-        condition, allowed = self._pace.look(ahead.position)
+        condition, allowed = self._motion.look_ahead()
         if not allowed:
             outcome = watchdog.singular(condition, self.options)
             if task.tracks:
                 self._hold(task, outcome)
-                self._pace.forget()
+                self._motion.pace.forget()
             else:
                 self._end(outcome)
             return
-        speed = self._pace.change(condition)
-        if speed is None:
-            return
         try:
-            slower = speed < self._pace.speed
-            self._stream.move(task.goal, duration=self._stream.remaining if slower else 0.0, speed=speed)
+            if not self._motion.change_pace(task.goal, condition):
+                return
         except PositionerError:
             return  # the present motion goes on; it is within all limits too
-        self._pace.speed = speed
-        if speed < 1.0:
+        if (speed := self._motion.pace.speed) < 1.0:
             reason = f"slowed down to {100 * speed:.0f} %: condition number {condition:.0f}"
             self._report(Code.SINGULARITY, f"{reason}, stop at {self.options.thresholds.stop:.0f}")
         else:
@@ -332,11 +307,10 @@ class Supervisor:
 
     def _at_rest(self, now: float) -> None:
         """Draw the conclusions once no setpoint is left to send."""
-        self._start.settle()
         if self._ending is not None:
             ending, self._ending = self._ending, None
             self._finish(Outcome(ending.code, f"{ending.message}; at rest"))
-        elif self._paused:
+        elif self._permission.paused:
             self._report(Code.PAUSED, "paused by ~/pause; at rest")
         elif self._task is not None and self._task.held is None:
             self._arrive(self._task, now)
@@ -345,20 +319,14 @@ class Supervisor:
         """Compare the measured pose with the target after the last setpoint."""
         if task.rest_since is None:
             task.rest_since = now
-        options = self.options
-        distance, angle = self.error(task)
-        numbers = f"{1e3 * distance:.2f} mm and {np.degrees(angle):.3f} deg from the target"
-        near = distance <= options.position_tolerance and angle <= options.orientation_tolerance
-        arrived = near and self._start.settled is not None
-        if task.follow:
-            self._report(Code.FOLLOWING, f"following, {numbers}")
-        elif arrived and task.kind is Kind.SERVO and now - task.target_time <= options.target_timeout:
-            self._report(Code.REACHED, f"at rest, {numbers}")
-        elif arrived:
-            self._finish(Outcome(Code.REACHED, f"at rest, {numbers}"))
-        elif now - task.rest_since > options.settle_timeout:
-            waited = f"{numbers} {options.settle_timeout:g} s after the last setpoint"
-            self._finish(Outcome(Code.DRIVER_DEVIATION, waited))
+        arrival = watchdog.arrival(task, self.arm.error(task.target), now, self.options, self._motion.has_settled)
+        if arrival is None:
+            return
+        outcome, over = arrival
+        if over:
+            self._finish(outcome)
+        else:
+            self._report(outcome.code, outcome.message)
 
     def _finish(self, outcome: Outcome) -> None:
         self._report(outcome.code, outcome.message)
@@ -391,32 +359,21 @@ class Supervisor:
 
     def _resume(self, task: Task) -> None:
         """Go on to the goal of a task that was paused or held."""
+        now = self._clock()
         try:
-            self._start.ensure(self._clock())
-            preview = self._stream.preview(task.goal, duration=task.remaining)
-            require_regular_motion(self.arm.conditioning, preview, self.options.thresholds)
-            task.arrive_at = self._clock() + self._stream.move(task.goal, duration=task.remaining).duration
+            task.arrive_at = now + self._motion.resume(task.goal, duration=task.remaining, now=now).duration
         except PositionerError as error:
             self._end(Outcome(error.code, f"cannot go on: {error}"))
             return
         task.held, task.rest_since = None, None
-        self._pace.restart()
         self._report_moving(task)
-
-    def _require_ready(self, order: int) -> None:
-        if self._closed:
-            raise PausedError("refused: the node is shutting down")
-        if order != self._order:
-            raise SupersededError("not begun: a newer order or ~/stop came first")
-        if self._paused:
-            raise PausedError("refused: paused; call ~/pause with data: false first")
 
     def _preview(self, positions: Array, duration: float) -> Trajectory:
         with self._lock:
             return self._stream.preview(positions, duration=duration)
 
     def _report_moving(self, task: Task) -> None:
-        if self._pace.speed == 1.0:
+        if self._motion.pace.speed == 1.0:
             doing, code = ("following", Code.FOLLOWING) if task.follow else ("moving to", Code.MOVING)
             self._report(code, f"{doing} the target, at rest in {self._stream.remaining:.2f} s")
 

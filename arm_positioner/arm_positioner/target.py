@@ -113,7 +113,7 @@ def find_target(
     rows = None if row is None else np.asarray(row)[keep]
     cols = None if col is None else np.asarray(col)[keep]
     viewpoint = base_from_camera[:3, 3]
-    labels = segmentation.components(xyz, rows, cols, viewpoint)
+    labels = segmentation.components(xyz, rows, cols)
     chosen = segmentation.nearest_component(
         xyz, labels, viewpoint, min_points=options.min_object_points, previous=previous
     )

@@ -91,3 +91,31 @@ def waited_too_long(task: Task, now: float, options: WatchOptions) -> Outcome | 
 def singular(condition: float, options: WatchOptions) -> Outcome:
     """Say that the condition number is past the limit."""
     return Outcome(Code.SINGULARITY, f"condition number {condition:.0f} past the limit {options.thresholds.stop:.0f}")
+
+
+def arrival(
+    task: Task, error: tuple[float, float], now: float, options: WatchOptions, settled: bool
+) -> tuple[Outcome, bool] | None:
+    """Judge an arm that has sent its last setpoint towards the target.
+
+    Args:
+        task: With the time since when no setpoint has left.
+        error: Distance [m] and angle [rad] from the target.
+        now: Time [s].
+        options: Tolerances.
+        settled: Whether the arm has been measured at rest.
+
+    Returns what to report and whether the task is over; None: wait.
+    """
+    distance, angle = error
+    numbers = f"{1e3 * distance:.2f} mm and {np.degrees(angle):.3f} deg from the target"
+    near = distance <= options.position_tolerance and angle <= options.orientation_tolerance
+    if task.follow:
+        return Outcome(Code.FOLLOWING, f"following, {numbers}"), False
+    if near and settled:
+        streamed = task.kind is Kind.SERVO and now - task.target_time <= options.target_timeout
+        return Outcome(Code.REACHED, f"at rest, {numbers}"), not streamed
+    if task.rest_since is not None and now - task.rest_since > options.settle_timeout:
+        waited = f"{numbers} {options.settle_timeout:g} s after the last setpoint"
+        return Outcome(Code.DRIVER_DEVIATION, waited), True
+    return None

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from positioner_scenes import box, cast, nearest, plane, sphere
 
 from arm_positioner.segmentation import components, nearest_component, spacing
@@ -50,3 +51,18 @@ def test_empty_and_tiny_clouds():
     assert nearest_component(np.zeros((3, 3)), np.zeros(3, int), np.zeros(3), min_points=4).size == 0
     grid = np.stack([*np.meshgrid(np.arange(5.0), np.arange(4.0)), np.zeros((4, 5))], axis=-1).reshape(-1, 3)
     assert spacing(grid) == 1.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_stands_before_a_wall_is_parted_from_it_from_any_side(seed):
+    rng = np.random.default_rng(seed)
+    centre, radius = np.array([*rng.uniform(-0.05, 0.05, 2), 1.0]), rng.uniform(0.07, 0.13)
+    wall = plane((0, 0, 1.0 + rng.uniform(1.0, 2.0) * radius), (*rng.uniform(-0.2, 0.2, 2), -1.0))
+    points, row, col = cast(nearest(sphere(centre, radius), wall), noise=2e-4, rng=rng)
+    wrong = rng.random(len(points)) < 0.03
+    points[wrong] += rng.normal(scale=0.05, size=(wrong.sum(), 3))
+    viewpoint = np.array([*rng.uniform(-0.4, 0.4, 2), 0.4])
+    on_ball = np.abs(np.linalg.norm(points - centre, axis=1) - radius) < 3e-3
+    chosen = nearest_component(points, components(points, row, col), viewpoint, min_points=20)
+    assert on_ball[chosen].mean() > 0.95
+    assert len(chosen) > 0.6 * (on_ball & ~wrong).sum()

@@ -12,6 +12,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from positioner_cell import Cell, Positioner, own_domain
 from positioner_robots import HOME
+from std_srvs.srv import Trigger
 
 from sl_common import transforms
 from sl_common.calibration_files import HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration, save_pose
@@ -38,7 +39,10 @@ def shared(tmp_path_factory):
 @pytest.fixture
 def cell(shared):
     cell, _, folder = shared
+    shown = cell.scene is not None
     cell.reset()
+    if shown:
+        time.sleep(1.1)  # clouds of the board where another test left it count no longer
     cell.cloud_frame = "base_link"
     if not (folder / HAND_EYE_FILE).exists():
         save_pose(folder / HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration(FLANGE_FROM_CAMERA))
@@ -153,6 +157,31 @@ def test_a_lost_object_holds_the_arm_then_ends_the_goal(cell):
     result = cell.result(handle, 15)
     assert result.code == S.LOST_CLOUD
     assert "given up after 1.5 s" in result.message
+    cell.wait_for_rest()
+    assert cell.violations() == []
+
+
+def test_a_goal_that_waits_for_a_cloud_does_not_begin_after_a_stop(cell):
+    handle = cell.send_goal(duration=1.0)
+    time.sleep(0.5)  # it waits
+    assert cell.call(cell.stop, Trigger.Request()).success
+    cell.scene = Board().place(cell)
+    result = cell.result(handle, 15)
+    assert result.code == S.STOPPED
+    assert "~/stop came first" in result.message
+    assert cell.commands == []
+
+
+def test_of_two_goals_at_once_the_newer_one_moves_the_arm(cell):
+    older = cell.send_goal(duration=1.0, standoff=0.25)
+    time.sleep(0.2)
+    newer = cell.send_goal(duration=1.0, standoff=0.35)
+    cell.scene = board = Board().place(cell)
+    assert cell.result(older, 15).code == S.STOPPED
+    result = cell.result(newer, 15)
+    assert result.success, result.message
+    assert abs((camera(cell)[:3, 3] - board.pose(0)[:3, 3]) @ board.normal - 0.35) < 2e-3
+    assert "surface normal known to 0." in result.message
     cell.wait_for_rest()
     assert cell.violations() == []
 

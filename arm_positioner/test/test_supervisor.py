@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings, target
 from hypothesis import strategies as st
 from positioner_checks import limit_violations
 from positioner_robots import HOME
-from positioner_simulation import PERIOD, Simulation
+from positioner_simulation import PERIOD, Simulation, assert_clean, moving, shifted
 
 from arm_positioner.errors import (
     Code,
@@ -22,22 +22,6 @@ from arm_positioner.errors import (
 from arm_positioner.singularity import SingularityThresholds
 from arm_positioner.task import Kind, Outcome
 from sl_common import transforms
-
-
-def shifted(sim, x=0.0, y=0.0, z=0.0, rotation=(0.0, 0.0, 0.0)):
-    return sim.camera() @ transforms.make(transforms.rotation_exp(rotation), (x, y, z))
-
-
-def moving(sim, kind=Kind.POSE, **kwargs):
-    task = sim.supervisor.begin(kind, shifted(sim, x=0.2, rotation=(0.2, 0.1, 0.0)), duration=2.0, **kwargs)
-    sim.run(0.6)
-    assert sim.supervisor.is_moving
-    return task
-
-
-def assert_clean(sim):
-    assert limit_violations(np.array(sim.setpoints), sim.limits, PERIOD) == []
-    assert not sim.supervisor.is_moving
 
 
 @pytest.mark.parametrize("robot", ["six", "seven", "gantry"])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from positioner_scenes import box, cast, nearest, plane, sphere
 
-from arm_positioner.errors import InvalidGoalError, TargetError
+from arm_positioner.errors import InvalidGoalError, ObjectGoneError, TargetError
 from arm_positioner.surface import FitOptions
 from arm_positioner.target import TargetOptions, facing_pose, find_target
 from sl_common import transforms
@@ -153,3 +153,52 @@ def test_fixed_roll_is_upright():
 def test_a_standoff_that_is_not_positive_is_refused(standoff):
     with pytest.raises(InvalidGoalError, match="standoff"):
         facing_pose(np.zeros(3), (0, 0, 1.0), transforms.identity(), standoff)
+
+
+def roof(angle, centre=(0.02, 0.02, 1.0)):
+    """Two planes that meet in an edge through ``centre``, tilted by ``angle`` to either side."""
+    sides = [plane(centre, (s * np.sin(angle), 0.0, -np.cos(angle))) for s in (-1, 1)]
+    return lambda origin, directions: np.max([side(origin, directions) for side in sides], axis=0)
+
+
+def test_the_place_is_chosen_off_a_crease():
+    points, row, col = cast(roof(0.35), noise=1e-4)
+    target = find_target(points, CAMERA, row=row, col=col)
+    patch = target.surface
+    assert abs(patch.point[0] - 0.02) > 0.02
+    side = np.copysign(np.sin(0.35), patch.point[0] - 0.02)
+    assert angle(patch.normal, np.array([side, 0, -np.cos(0.35)])) < 0.02  # the edge itself bends by 0.7
+    assert np.linalg.norm(patch.point - target.middle) < 0.2
+
+
+def test_the_same_place_is_taken_again_by_its_offset():
+    points, row, col = cast(roof(0.35), noise=1e-4)
+    first = find_target(points, CAMERA, row=row, col=col)
+    moved = np.array([0.03, -0.02, 0.01])
+    again = find_target(
+        points + moved,
+        CAMERA,
+        row=row,
+        col=col,
+        previous=first.surface.point,
+        offset=first.surface.point - first.middle,
+    )
+    assert np.allclose(again.surface.point - first.surface.point, moved, atol=2e-3)
+    assert angle(again.surface.normal, first.surface.normal) < 2e-3
+
+
+def test_an_object_that_is_gone_is_not_mistaken_for_the_wall_behind():
+    ball = sphere((0.0, 0.0, 0.9), 0.1)
+    points, row, col = cast(nearest(ball, WALL), noise=2e-4)
+    seen = find_target(points, CAMERA, row=row, col=col).surface.point
+    points, row, col = cast(WALL, noise=2e-4)
+    with pytest.raises(ObjectGoneError, match=r"nearest patch is \d{3} mm .* limit 100 mm"):
+        find_target(points, CAMERA, row=row, col=col, previous=seen)
+
+
+def test_the_uncertainty_includes_that_of_the_place_on_a_curved_surface():
+    points, row, col = cast(nearest(sphere((0.02, 0.03, 1.0), 0.05), WALL), pitch=0.005, noise=1e-5)
+    patch = find_target(
+        points, CAMERA, row=row, col=col, options=TargetOptions(fit=FitOptions(place_sigma=1e-3))
+    ).surface
+    assert patch.normal_sigma == pytest.approx(1e-3 / 0.05, rel=0.25)

@@ -33,6 +33,8 @@ _PAIRING_WAIT = 0.1
 """How long a cloud or goal waits for the joint state behind its stamp [s]."""
 
 
+_CLOCK_SET = 0.5
+"""Joint states this much older than the newest are no late messages: the clock was set back [s]."""
 _RESPONSE = 0.2
 """How far ahead a followed target is aimed at [s]: about the time the arm takes to get there."""
 
@@ -76,8 +78,17 @@ class Scene:
         self._sight.choose_anew()
 
     def add_joints(self, stamp_ns: int, positions: Array) -> None:
-        """Keep joint positions for pairing by stamp."""
+        """Keep joint positions for pairing by stamp.
+
+        Where the clock was set back, as by a bag played again, those from before the jump are forgotten: clouds must
+        not be paired with the motion of another time.
+        """
         with self._joint_lock:
+            newest = self._joints.newest
+            if newest is not None and stamp_ns < newest[0] - round(
+                1e9 * max(_CLOCK_SET, self._settings.watch.joint_timeout)
+            ):
+                self._joints.clear()
             self._joints.add(stamp_ns, positions)
 
     def add_cloud(self, message: PointCloud2) -> None:

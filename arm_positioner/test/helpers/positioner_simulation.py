@@ -1,13 +1,16 @@
 """An arm and its supervisor in simulated time, without ROS."""
 
 import numpy as np
+from positioner_checks import limit_violations
 from positioner_robots import HOME, kinematics
 
 from arm_positioner.limits import from_urdf
 from arm_positioner.planning import Planner
 from arm_positioner.singularity import SingularityThresholds
 from arm_positioner.supervisor import Supervisor
+from arm_positioner.task import Kind
 from arm_positioner.watchdog import WatchOptions
+from sl_common import transforms
 
 PERIOD = 0.008
 
@@ -80,3 +83,19 @@ class Simulation:
 
     def camera(self, q=None):
         return self.arm.forward(self.q if q is None else q)
+
+
+def shifted(sim, x=0.0, y=0.0, z=0.0, rotation=(0.0, 0.0, 0.0)):
+    return sim.camera() @ transforms.make(transforms.rotation_exp(rotation), (x, y, z))
+
+
+def moving(sim, kind=Kind.POSE, **kwargs):
+    task = sim.supervisor.begin(kind, shifted(sim, x=0.2, rotation=(0.2, 0.1, 0.0)), duration=2.0, **kwargs)
+    sim.run(0.6)
+    assert sim.supervisor.is_moving
+    return task
+
+
+def assert_clean(sim):
+    assert limit_violations(np.array(sim.setpoints), sim.limits, PERIOD) == []
+    assert not sim.supervisor.is_moving
