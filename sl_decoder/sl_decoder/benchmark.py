@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pattern_gen import Pattern, default_pattern
 from sl_decoder.decoder import Decoder
-from sl_decoder.synthetic import synthetic_dots, view
+from sl_decoder.reliability import robustness
+from sl_decoder.synthetic import view
 from sl_decoder.tracking import Tracker
 
 
@@ -111,26 +112,6 @@ def timing_rows(repeats: int = 30) -> list[Row]:
         return rows
     finally:
         cv2.setNumThreads(threads)
-
-
-def robustness(
-    pattern: Pattern, *, flipped: float = 0.0, missing: float = 0.0, runs: int = 10
-) -> tuple[float, float, float]:
-    """Shares of the dots present that come out right, wrong and undecoded, over `runs` random views."""
-    decoder = Decoder(pattern)
-    right = wrong = present = 0
-    for seed in range(runs):
-        dots, index = synthetic_dots(
-            pattern, flipped=flipped, missing=missing, angle=2 * np.pi * seed / runs, seed=seed
-        )
-        reading = decoder.read(dots)
-        decoded = decoder.report(reading, 0.0)
-        map_v, map_u = decoder.elements(decoded.row, decoded.col)
-        good = index[reading.claim[map_v, map_u]] == decoded.row * pattern.cols + decoded.col
-        right += int(good.sum())
-        wrong += int((~good).sum())
-        present += len(dots)
-    return right / present, wrong / present, (present - right - wrong) / present
 
 
 def robustness_rows(runs: int = 10) -> list[Row]:

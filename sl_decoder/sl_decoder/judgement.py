@@ -169,7 +169,7 @@ def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
             kind = kind_of[v, u]
             e2 = np.float32(-0.5) * error[v, u] * error[v, u]
             if kind == UNPREDICTED:
-                place = np.float32(-2.0)
+                place = np.float32(-OFF_PLACE)  # where it ought to be cannot be told: nor can what it is
             else:
                 density = np.float32(0.02)
                 for c in range(3):

@@ -9,8 +9,8 @@ from decoder_helpers import camera_image, default_pattern, hexagonal_pattern, mo
 
 from sl_common.errors import StructuredLightError
 from sl_decoder import Decoder, DecoderOptions, Reason
-from sl_decoder.benchmark import robustness
 from sl_decoder.colours import Colours
+from sl_decoder.reliability import robustness
 from sl_decoder.synthetic import view
 
 PATTERN = default_pattern()
