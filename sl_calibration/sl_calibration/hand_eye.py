@@ -27,6 +27,7 @@ from sl_common.errors import InvalidInputError
 Array = NDArray[np.float64]
 
 _STREAM_PERIOD = 0.12
+_SLOWEST_EYE = 1.0
 _MAX_GAP = 0.1
 _LEAST_SECOND_AXIS = float(np.radians(1.0))
 _CLOSED_FORM_POSES = 150
@@ -142,10 +143,12 @@ def calibrate_hand_eye(
     hand, eye = (PoseStream(s.times - epoch, s.poses, s.rows) for s in (hand, eye))
     best: tuple[float, bool, _Samples, MotionPairs, dict[str, Array]] | None = None
     failure: InvalidInputError | None = None
-    streams = hand.period < _STREAM_PERIOD and eye.period < _STREAM_PERIOD
+    # A hand sampled densely is interpolated, whatever the eye's rate; an eye that looks now and then tells no offset.
+    streams = hand.period < _STREAM_PERIOD
+    estimate = streams and eye.period < _SLOWEST_EYE and options.max_offset > 0
     for inverted in (False, True) if eye_inverted is None else (eye_inverted,):
         turned = PoseStream(eye.times, transforms.inverse(eye.poses) if inverted else eye.poses, eye.rows)
-        offset = estimate_offset(hand, turned, options.max_offset) if streams and options.max_offset > 0 else 0.0
+        offset = estimate_offset(hand, turned, options.max_offset) if estimate else 0.0
         try:
             samples = _pair(hand, turned, offset, options, streams)
             pairs = _checked_pairs(samples, offset, options)
@@ -167,7 +170,6 @@ def calibrate_hand_eye(
         position, rotation = _errors(samples, start, None, first_offset)
         closed[name] = (float(position.mean()), float(rotation.mean()))
     start = min(starts.values(), key=lambda x: _typical(*_errors(samples, x, None, first_offset)))
-    estimate = streams and options.max_offset > 0
     fit = _refine(samples, start, first_offset, estimate)
     samples, rejected = _without_outliers(samples, fit, options)
     if len(rejected):

@@ -26,7 +26,9 @@ def angle_mismatch(hand: PoseStream, eye: PoseStream, offset: float) -> float:
     if inside.sum() < 5:
         return float("inf")
     differences = []
-    for interval in _INTERVALS:
+    # A slow eye is read at its own samples: between them it may have turned anyhow.
+    intervals = _INTERVALS if eye.period < _INTERVALS[0] else tuple(k * eye.period for k in (1, 2, 4))
+    for interval in intervals:
         later = times + interval
         usable = inside & (later <= eye.times[-1]) & (later + offset <= hand.times[-1])
         if usable.sum() < 5:

@@ -70,6 +70,20 @@ def error(estimate):
     return np.linalg.norm(delta[:3]), np.linalg.norm(delta[3:])
 
 
+@pytest.mark.parametrize(("every", "offset"), [(8, 0.06), (15, -0.04), (60, 0.0)])
+def test_an_eye_at_any_rate_is_paired_with_a_dense_hand(every, offset):
+    """30 Hz thinned to 4 and 2 Hz, whose offset is found, and to one look every two seconds, which tells none."""
+    hand, eye = moving(offset, seconds=60.0 if every > 15 else 30.0)
+    slow = PoseStream(eye.times[::every], eye.poses[::every], eye.rows[::every])
+    result = calibrate_hand_eye(hand, slow)
+    assert len(result.rows) >= 0.9 * len(slow)
+    assert result.offset_estimated == (every < 60)
+    if result.offset_estimated:
+        assert result.time_offset == pytest.approx(-offset, abs=3e-3)
+    assert error(result.flange_from_camera)[0] < 4 * np.sqrt(np.trace(result.covariance[:3, :3]))
+    assert error(result.flange_from_camera)[0] < 0.006
+
+
 @pytest.mark.parametrize("solver", [solve_tsai, solve_park, solve_daniilidis])
 def test_closed_forms_are_exact_on_exact_data(solver):
     hand, eye = single_poses(8)
