@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import resource
+import subprocess
+import sys
 import time
+import tracemalloc
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,6 +19,10 @@ from sl_decoder.decoder import Decoder
 from sl_decoder.reliability import robustness
 from sl_decoder.synthetic import view
 from sl_decoder.tracking import Tracker
+from sl_decoder.warmup import warm_up
+
+FIRST_FRAME = "--first-frame"
+"""Argument: print the time of the first image after the warm-up over the median of those that follow."""
 
 
 class Row(NamedTuple):
@@ -134,13 +141,80 @@ def memory_row() -> Row:
     return Row("peak resident memory of this process", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "MB")
 
 
+def resident() -> float:
+    """Resident memory of this process [MB]."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() / 2**20
+
+
+def memory_growth(frames: int) -> tuple[float, float]:
+    """Growth of the resident memory [MB] and of Python's allocations [kB] over `frames` small images.
+
+    Decoded and tracked in turn, parts of the pattern moving through the view. Growth of the first tenth does not count:
+    allocators settle.
+    """
+    pattern = default_pattern()
+    decoder = Decoder(pattern)
+    tracker = Tracker(decoder)
+    parts = [
+        np.ascontiguousarray(camera_image(pattern, 640, 480, shift=1.5 * k, seed=k)[180:300, 240:400]) for k in range(8)
+    ]
+    before, allocated = 0.0, 0
+    tracemalloc.start()
+    try:
+        for k in range(frames):
+            if k == frames // 10:
+                before, allocated = resident(), tracemalloc.get_traced_memory()[0]
+            image = parts[min(k % 14, 14 - k % 14)]
+            if k % 2:
+                decoder.decode(image)
+            else:
+                tracker.track(image, 1 + k * 16_000_000)
+        return resident() - before, (tracemalloc.get_traced_memory()[0] - allocated) / 1024
+    finally:
+        tracemalloc.stop()
+
+
+def growth_rows(frames: int = 10_000) -> list[Row]:
+    """Memory after many images."""
+    megabytes, kilobytes = memory_growth(frames)
+    return [
+        Row(f"growth of the resident memory over {frames} images", megabytes, "MB", 2.0),
+        Row(f"growth of Python's allocations over {frames} images", kilobytes, "kB", 64.0),
+    ]
+
+
+def first_frame() -> float:
+    """Time of the first image after the warm-up over the median of those that follow, in this process."""
+    pattern = default_pattern()
+    warm_up(pattern)
+    decoder = Decoder(pattern)
+    image = camera_image(pattern, 640, 480)
+    times = []
+    for _ in range(20):
+        start = time.perf_counter()
+        decoder.decode(image)
+        times.append(time.perf_counter() - start)
+    return times[0] / float(np.median(times[1:]))
+
+
+def first_frame_row() -> Row:
+    """`first_frame` of a new process."""
+    command = [sys.executable, "-m", "sl_decoder.benchmark", FIRST_FRAME]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    return Row("first image after start over the median", float(answer.stdout), "", 1.5)
+
+
 def rows() -> list[Row]:
     """All rows."""
-    return [*timing_rows(), *robustness_rows(), memory_row()]
+    return [*timing_rows(), first_frame_row(), *robustness_rows(), memory_row(), *growth_rows()]
 
 
 def main() -> None:
     """Print the table."""
+    if FIRST_FRAME in sys.argv:
+        print(first_frame())
+        return
     for row in rows():
         limit = "" if row.limit is None else f"<= {row.limit:g}"
         print(f"{row.name:70s} {row.value:9.3f} {row.unit:3s} {limit}")

@@ -22,6 +22,7 @@ from sl_decoder.segmentation import Segments
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
 SATURATED = 250  # a channel from here on has lost its proportion
 LANES = 8  # pixels of a blob are summed in groups of this many
+SAMPLES = 16  # of the background around a blob
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,12 @@ class Dots:
 
 
 @compiled
-def _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, back):
+def _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, order, back):
     """Background of a blob: mean signal where no blob lies on the ellipse (rx, ry) around (cx, cy).
 
     The lower three quarters count: skirts of neighbours brighten the rest. Writes back (3,); returns the mean variance
-    of a channel and how many samples count, fewer than three of them mean nothing. ring (4, S) float32: work space.
+    of a channel and how many samples count, fewer than three of them mean nothing. ring (4, S) float32 and order (S,)
+    int32: work space.
     """
     h, w = hat.shape
     m = 0
@@ -67,13 +69,17 @@ def _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, bac
         for c in range(3):
             ring[1 + c, m] = np.float32(max(smooth[c, y, x], half[c, y >> 1, x >> 1]) - half[c, y >> 1, x >> 1])
         m += 1
+    for k in range(m, SAMPLES):
+        ring[0, k] = np.float32(1e9)
+    for k in range(SAMPLES):
+        before = np.int32(0)
+        for j in range(SAMPLES):
+            before += np.int32(ring[0, j] < ring[0, k])
+        order[k] = before
     kept = m - m // 4
     b0 = b1 = b2 = q = np.float32(0)
     for k in range(m):
-        before = np.int32(0)
-        for j in range(m):
-            before += np.int32(ring[0, j] < ring[0, k])
-        use = np.float32(before < kept)
+        use = np.float32(order[k] < kept)
         p0, p1, p2 = ring[1, k], ring[2, k], ring[3, k]
         b0 += use * p0
         b1 += use * p1
@@ -112,7 +118,8 @@ def _measure(
         largest = max(largest, start[j + 1] - start[j])
     # rows: x, y, height, B, G, R, saturated, mixture; one array, so that the compiler sees that they do not overlap
     pixel = np.zeros((8, (largest + LANES - 1) // LANES * LANES), np.float32)
-    ring = np.empty((4, len(circle)), np.float32)
+    ring = np.empty((4, SAMPLES), np.float32)
+    order = np.empty(SAMPLES, np.int32)
     back = np.empty(3, np.float32)
     one, zero = np.float32(1), np.float32(0)
     for j in range(len(peak)):
@@ -176,7 +183,7 @@ def _measure(
         profile[j] = zero
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        variance, m = _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, back)
+        variance, m = _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, order, back)
         if m >= 3:
             # neighbouring pixels share the filter: about three of them count as one
             noise[j] = np.sqrt(max(variance, np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
@@ -247,7 +254,7 @@ def _measure(
             profile[j] = logarithm(m4 * sw / (m2 * m2))
 
 
-_ANGLE = np.arange(16) * (2 * np.pi / 16)
+_ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
 _CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 

@@ -14,6 +14,7 @@ from sl_decoder.compiled import compiled
 
 EDGE = 0.25  # log signal by which a neighbour may differ before it counts as beyond an albedo edge
 RIDGE = 0.6  # damping of the field's slopes
+LANES = 16  # most neighbours of a dot that count; loops of constant length become vector code
 
 
 @compiled
@@ -57,14 +58,14 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
     Robust (weights fall off with the distance from the median, so that albedo edges do not mix) and damped (a ridge on
     the slopes, so that one-sided neighbourhoods extrapolate a gradient without exaggerating it).
     """
-    n, k = near.shape
+    n, k = len(near), min(near.shape[1], LANES)
     one, zero = np.float32(1), np.float32(0)
     own = np.empty(n, np.float32)
     for i in range(n):
         own[i] = signal[i] - level[letter[i]]
-    values = np.empty(k, np.float32)
-    xs = np.empty(k, np.float32)
-    ys = np.empty(k, np.float32)
+    values = np.empty(LANES, np.float32)
+    xs = np.empty(LANES, np.float32)
+    ys = np.empty(LANES, np.float32)
     for i in range(n):
         m = 0
         far = one
@@ -85,7 +86,9 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
             field[i] = own[i]
             field_variance[i] = one
             continue
-        middle = _upper_median(values[:m])
+        for q in range(m, LANES):
+            values[q] = np.float32(1e9)
+        middle = _upper_median(values, m)
         scale = one / np.sqrt(far)
         sw = sz = sx = sy = sxx = sxy = syy = sxz = syz = szz = zero
         for q in range(m):
@@ -126,21 +129,19 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
 
 
 @compiled
-def _upper_median(values):
-    """Value of rank N // 2 of a few values (N,).
+def _upper_median(values, n):
+    """Value of rank n // 2 of the first n of LANES values; the others must be greater.
 
     Counting compares all pairs, without a branch that depends on them: faster than sorting sixteen.
     """
-    n = len(values)
     middle = values[0]
-    for i in range(n):
-        v = values[i]
+    for i in range(LANES):
         below = np.int32(0)
         up_to = np.int32(0)
-        for j in range(n):
-            below += np.int32(values[j] < v)
-            up_to += np.int32(values[j] <= v)
-        middle = v if below <= n >> 1 < up_to else middle
+        for j in range(LANES):
+            below += np.int32(values[j] < values[i])
+            up_to += np.int32(values[j] <= values[i])
+        middle = values[i] if below <= n >> 1 < up_to else middle
     return middle
 
 

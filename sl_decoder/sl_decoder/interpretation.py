@@ -368,17 +368,19 @@ class Interpretation:
         book, lattice, model = self.book, self.book.lattice, self.model
         assert model is not None
         if offset is None:
-            offset = recovery.matched_offset(
-                self.claim,
-                smooth,
-                self.centre,
-                self.covariance,
-                self.signal,
-                book.letters,
-                lattice.steps,
-                model,
-                CIRCLE,
-                200,
+            offset = np.float32(
+                recovery.matched_offset(
+                    self.claim,
+                    smooth,
+                    self.centre,
+                    self.covariance,
+                    self.signal,
+                    book.letters,
+                    lattice.steps,
+                    model,
+                    CIRCLE,
+                    200,
+                )
             )
         tried = np.zeros(self.claim.shape, np.bool_)
         before = self.n

@@ -33,7 +33,8 @@ def _surroundings(smooth, px, py, sx, sy, mix, circle, ring, back):
     Neighbouring dots may cover the others. ring (4, S) float32: work space. Returns the background's noise and the
     level of its darker quarter under the mixture `mix`.
     """
-    n = len(circle)
+    n = SAMPLES
+    order = np.empty(SAMPLES, np.int32)
     for k in range(n):
         x = int(px + sx * circle[k, 0] + np.float32(0.5))
         y = int(py + sy * circle[k, 1] + np.float32(0.5))
@@ -41,13 +42,16 @@ def _surroundings(smooth, px, py, sx, sy, mix, circle, ring, back):
         ring[1, k], ring[2, k], ring[3, k] = p0, p1, p2
         # distinct keys: equal values keep their order
         ring[0, k] = mix[0] * p0 + mix[1] * p1 + mix[2] * p2 + np.float32(k) * np.float32(1e-3)
+    for k in range(SAMPLES):
+        before = np.int32(0)
+        for j in range(SAMPLES):
+            before += np.int32(ring[0, j] < ring[0, k])
+        order[k] = before
     half = n >> 1
     b0 = b1 = b2 = lowest = quarter = middle = np.float32(0)
     for k in range(n):
         value = ring[0, k]
-        before = np.int32(0)
-        for j in range(n):
-            before += np.int32(ring[0, j] < value)
+        before = order[k]
         use = np.float32(before < half)
         b0 += use * ring[1, k]
         b1 += use * ring[2, k]

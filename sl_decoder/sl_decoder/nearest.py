@@ -97,6 +97,16 @@ def nearest(points, k):
 
 
 @compiled
+def _count_less(key, others, rank, first):
+    """Count for each of LANES keys how many of LANES others are less; the first count starts from zero."""
+    for i in range(LANES):
+        less = np.int32(0)
+        for j in range(LANES):
+            less += np.int32(others[j] < key[i])
+        rank[i] = less if first else rank[i] + less
+
+
+@compiled
 def _choose(key, m, rank, chosen, k):
     """Indices of the k least of key (m,) int32 in order, ties in theirs; writes chosen (k,).
 
@@ -112,12 +122,14 @@ def _choose(key, m, rank, chosen, k):
             chosen[p] = best
             key[best] = np.int32(0x7FFFFFFF)
         return
-    whole = (m + LANES - 1) // LANES * LANES
-    rank[:whole] = 0
-    for j in range(m):
-        other = key[j]
-        for i in range(whole):
-            rank[i] += np.int32(other < key[i])
+    blocks = (m + LANES - 1) // LANES
+    for i in range(m, blocks * LANES):
+        key[i] = np.int32(0x7FFFFFFF)
+    keys = key[: blocks * LANES].reshape((blocks, LANES))
+    ranks = rank[: blocks * LANES].reshape((blocks, LANES))
+    for one in range(blocks):
+        for other in range(blocks):
+            _count_less(keys[one], keys[other], ranks[one], other == 0)
     chosen[:] = -1
     for i in range(m):
         place = rank[i]

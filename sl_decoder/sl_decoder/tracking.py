@@ -54,7 +54,6 @@ class Tracker:
         self._claim = np.full(shape, -1, np.int32)  # rows of the per-dot arrays of the last image
         self._place = np.zeros((0, 2), np.float32)
         self._velocity = np.zeros((*shape, 2), np.float32)  # px/s
-        self._moving = np.zeros(shape, np.bool_)
         self._footprint = np.zeros((*shape, 3), np.float32)
         self._area = np.zeros(0, np.int32)
         self._ids = np.full(shape, -1, np.int32)
@@ -212,8 +211,9 @@ class Tracker:
             moved = (reading.centre[reading.claim[both]] - self._place[self._claim[both]]) / np.float32(gap)
             velocity[both] = moved
             fresh = (reading.claim >= 0) & ~both
-            velocity[fresh] = np.median(moved, axis=0)
-        known = self._footprint.any(axis=2)
+            if fresh.any():
+                velocity[fresh] = np.median(moved, axis=0)
+        known = self._footprint[..., 0] > 0
         new = (reading.claim >= 0) & ~known
         if new.any() and known.any():
             self._footprint[new] = np.median(self._footprint[known], axis=0)
