@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
 
+from arm_positioner.errors import ObjectGoneError
 from arm_positioner.following import TargetFilter
 from arm_positioner.servo import ServoGate
+from arm_positioner.sight import Sight, Sighting
+from arm_positioner.surface import SurfacePatch
+from arm_positioner.target import Target, TargetOptions
 from sl_common import transforms
 
 
@@ -69,3 +73,50 @@ def test_the_gate_ends_a_stream_until_it_has_been_silent_or_is_opened():
     assert not gate.admits(6.1)
     gate.open()
     assert gate.admits(6.2)
+
+
+class Finder:
+    """Stands in for find_target: notes what it is asked and answers with a target at ``place``."""
+
+    def __init__(self):
+        self.asked, self.gone = [], False
+
+    def __call__(self, points, pose, **question):
+        self.asked.append(question)
+        if self.gone and question["previous"] is not None:
+            raise ObjectGoneError("the object is gone")
+        point = np.array([0.1, 0.0, 1.0])
+        surface = SurfacePatch(point, np.array([0, 0, -1.0]), np.eye(3), np.eye(3)[:2], 0.05, 50, 1.0, 1e-4)
+        return Target(pose, surface, 100, np.array([0.08, 0.01, 1.0]))
+
+
+def test_an_object_is_kept_between_goals_and_its_place_while_it_is_tracked():
+    find = Finder()
+    sight = Sight(find=find)
+    cloud = Sighting(0.0, np.zeros((1, 3)), np.eye(4))
+    sight.look(cloud, TargetOptions())
+    sight.look(cloud, TargetOptions())
+    assert find.asked[0]["previous"] is None
+    assert find.asked[0]["offset"] is None
+    assert np.allclose(find.asked[1]["previous"], (0.1, 0, 1))
+    assert np.allclose(find.asked[1]["offset"], (0.02, -0.01, 0))
+    sight.choose_anew()
+    sight.look(cloud, TargetOptions())
+    assert find.asked[2]["previous"] is not None
+    assert find.asked[2]["offset"] is None
+    sight.reset()
+    sight.look(cloud, TargetOptions())
+    assert find.asked[3]["previous"] is None
+
+
+def test_a_tracked_object_that_is_gone_is_said_to_be_and_a_new_goal_takes_the_nearest():
+    find = Finder()
+    sight = Sight(find=find)
+    cloud = Sighting(0.0, np.zeros((1, 3)), np.eye(4))
+    sight.look(cloud, TargetOptions())
+    find.gone = True
+    with pytest.raises(ObjectGoneError):
+        sight.look(cloud, TargetOptions())
+    sight.choose_anew()
+    assert sight.look(cloud, TargetOptions()).object_points == 100
+    assert find.asked[-1]["previous"] is None
