@@ -38,7 +38,7 @@ class TrackerOptions:
     """
 
     refresh: int = 15
-    least_share: float = 0.8
+    least_share: float = 0.95
     least_dots: int = 25
     longest_gap: float = 0.5
     reach: float = 0.35

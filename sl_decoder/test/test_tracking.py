@@ -44,6 +44,26 @@ def test_a_jump_by_whole_dots_is_noticed() -> None:
         assert len(decoded) > 2300
 
 
+def test_an_object_that_starts_to_move_is_not_lost() -> None:
+    tracker = Tracker(DECODER)
+    still = camera_image(PATTERN, 640, 480)
+    y, x = np.mgrid[:480, :640]
+    middle, radius, shares = np.array([300.0, 240.0]), 70.0, []
+    for k in range(10):
+        shift = np.array([4.0, 2.0]) * max(0, k - 2)  # three images at rest first
+        moved = np.roll(still, shift.astype(int)[::-1], (0, 1))
+        image = still.copy()
+        image[np.hypot(*(np.stack([x, y], -1) - middle).transpose(2, 0, 1)) < radius] = 22
+        there = np.hypot(*(np.stack([x, y], -1) - middle - shift).transpose(2, 0, 1)) < radius
+        image[there] = moved[there]
+        decoded = tracker.track(image, 1 + 33 * k * MS)
+        place = true_place(decoded, 0.0)
+        on = np.linalg.norm(place - middle, axis=1) < radius - 10
+        assert np.linalg.norm(decoded.camera - place - shift, axis=1)[on].max() < 0.7
+        shares.append(on.sum())
+    assert min(shares) > 0.9 * shares[0]
+
+
 def test_a_switched_pattern_leaves_nothing() -> None:
     tracker = Tracker(DECODER)
     for k in range(3):
