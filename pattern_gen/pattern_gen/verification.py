@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pattern_gen.pattern import Grid
 
-_PAIRS = 2_000_000  # compared at a time
+_PAIRS = 250_000  # compared at a time
 
 
 @dataclass(frozen=True)
@@ -135,20 +135,22 @@ def window_codes(
     return np.stack([plain[turn].T for turn in turned]), centres
 
 
-def _keys(codes: NDArray[np.uint8], cells: NDArray[np.int64], alphabet: int) -> NDArray[np.int64]:
+def _keys(codes: NDArray[np.uint8], cells: NDArray[np.int64], alphabet: int) -> NDArray[np.signedinteger]:
     """(m,) rank of the letters at some cells: equal exactly where all of them are equal."""
-    key = np.zeros(len(codes), dtype=np.int64)
+    narrow = alphabet ** len(cells) < 2**31  # half the memory
+    key = np.zeros(len(codes), dtype=np.int32 if narrow else np.int64)
     top = 1
     for cell in cells:
         if top * alphabet >= 2**62:  # does not fit: rank what there is
             key = np.unique(key, return_inverse=True)[1].astype(np.int64)
             top = len(codes)
-        key = key * alphabet + codes[:, cell]
+        key *= alphabet
+        key += codes[:, cell]
         top *= alphabet
     return key
 
 
-def _meetings(key: NDArray[np.int64], windows: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def _meetings(key: NDArray[np.signedinteger], windows: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Pairs (i, j) of equal key with i an unrotated code, i < windows, in batches."""
     order = np.argsort(key, kind="stable")
     ranked = key[order]

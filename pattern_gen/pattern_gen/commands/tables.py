@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 
+from pattern_gen.assignment import assign_letters
 from pattern_gen.commands.cli import ProgressLine
 from pattern_gen.errors import SearchError
 from pattern_gen.generation import Request, pattern_of
@@ -67,7 +68,8 @@ def _run(arguments: argparse.Namespace) -> None:
         size = result.found.size
         if size[0] * size[1] <= MAX_FILE_CELLS:
             request = Request(alphabet=cell.alphabet, h=cell.h, grid=cell.grid)
-            pattern = pattern_of(result.found.symbols, request, choose_letters(cell.alphabet), (1024, 768))
+            letters = assign_letters(result.found.symbols, choose_letters(cell.alphabet), request)
+            pattern = pattern_of(result.found.symbols, request, letters, (1024, 768))
             pattern.save(arguments.output / f"{cell.name}.yaml")
         with atomic_path(arguments.output / f"{cell.name}.png") as temporary:
             cv2.imwrite(str(temporary), picture(result.found.symbols, cell.grid, cell.alphabet)[..., ::-1])
