@@ -184,10 +184,10 @@ def _reason(pairs: PairRotations, names: Sequence[str], good: BoolArray) -> str:
     mismatch = pairs.angle_mismatch()
     fits = int((mismatch < _AGREEMENT).sum())
     facts = f"{fits} of {len(mismatch)} pairs of views turn by the same angle as the flange"
-    if len(mismatch) < count:
+    if len(mismatch) < 2 * count and fits >= 0.5 * len(mismatch):
         return (
-            f"{facts}, and hardly any pairs of {count} views share {LEAST_COMMON} dots and more: let the views overlap"
-            " more, or bring more dots into view"
+            f"{facts}, and only {len(mismatch)} pairs of {count} views share {LEAST_COMMON} dots and more: let the"
+            " views overlap more, or bring more dots into view"
         )
     for order, what in (
         (np.arange(count)[::-1], "in reverse order"),
