@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,10 +136,10 @@ def window_codes(
     return np.stack([plain[turn].T for turn in turned]), centres
 
 
-def _keys(codes: NDArray[np.uint8], cells: NDArray[np.int64], alphabet: int) -> NDArray[np.signedinteger]:
+def _keys(codes: NDArray[np.uint8], cells: NDArray[np.int64], alphabet: int) -> NDArray[Any]:
     """(m,) rank of the letters at some cells: equal exactly where all of them are equal."""
     narrow = alphabet ** len(cells) < 2**31  # half the memory
-    key = np.zeros(len(codes), dtype=np.int32 if narrow else np.int64)
+    key: NDArray[Any] = np.zeros(len(codes), dtype=np.int32 if narrow else np.int64)
     top = 1
     for cell in cells:
         if top * alphabet >= 2**62:  # does not fit: rank what there is
@@ -150,7 +151,7 @@ def _keys(codes: NDArray[np.uint8], cells: NDArray[np.int64], alphabet: int) -> 
     return key
 
 
-def _meetings(key: NDArray[np.signedinteger], windows: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def _meetings(key: NDArray[Any], windows: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Pairs (i, j) of equal key with i an unrotated code, i < windows, in batches."""
     order = np.argsort(key, kind="stable")
     ranked = key[order]
