@@ -24,8 +24,9 @@ LEAST_BELIEF = 2.0  # log-odds below which a dot is never given
 LEAST_KERNEL = 12  # side of the background filter [px]
 KERNEL_SHARE = 1 / 36  # of the image's width: a pattern of some sixty columns that fills the image has this pitch
 WIDER_KERNEL = 2.6  # times the usual side, for dots seen from near
+MOSTLY_EXPLAINED = 0.85  # share of the blobs that are decoded from which no second opinion on the links is asked
 WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
-BLURS = (0.3, 0.0, 0.6, None, 0.3)  # metrics in which what is left is linked once more [px^2]
+BLURS = (0.3, 0.0, 0.6, None)  # metrics in which what is left is linked once more [px^2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +113,9 @@ class Decoder:
                 reading.place(evidence)
                 reading.grow(self.limit)
                 for blur in BLURS:
-                    if not reading.is_complete() and reading.place_rest(blur):
+                    if reading.is_complete() or (blur is None and reading.explained() > MOSTLY_EXPLAINED):
+                        break
+                    if reading.place_rest(blur):
                         reading.grow(self.limit)
             if smooth is not None:
                 reading.recover(smooth, self.limit)
