@@ -81,6 +81,14 @@ def remove(tables: Tables, table_class: int, table: int, entry: int, capacity: i
     tables.slots[table_class, table, last] = slot
 
 
+@njit(cache=True, inline="always")
+def _remember(state: State, count: int, number: int, entry: int, distance: int, place: int) -> None:
+    state.found[count, 0] = number
+    state.found[count, 1] = entry
+    state.found[count, 2] = distance
+    state.found[count, 3] = letter_at(state.codes[entry], place, state.pack[0])
+
+
 @njit(cache=True)
 def near(
     state: State, tables: Tables, capacity: int, h: int, entry: int, table_class: int, number: int, count: int
@@ -97,10 +105,7 @@ def near(
         for e in range(state.codes.shape[0]):
             distance = popcount(fold(state.codes[e] ^ query, state.pack) & mask)
             if distance < h and state.local[e // turns] < 0 and count < MAX_CANDIDATES:
-                state.found[count, 0] = number
-                state.found[count, 1] = e
-                state.found[count, 2] = distance
-                state.found[count, 3] = letter_at(state.codes[e], place, bits)
+                _remember(state, count, number, e, distance, place)
                 count += 1
         return count
     for table in range(table_count):
@@ -116,9 +121,6 @@ def near(
                         known = True
                         break
                 if not known:
-                    state.found[count, 0] = number
-                    state.found[count, 1] = e
-                    state.found[count, 2] = distance
-                    state.found[count, 3] = letter_at(state.codes[e], place, bits)
+                    _remember(state, count, number, e, distance, place)
                     count += 1
     return count
