@@ -55,6 +55,5 @@ def test_a_process_that_decodes_needs_no_compiler() -> None:
 
 
 def test_memory_does_not_grow_with_the_images() -> None:
-    megabytes, kilobytes = memory_growth(600)
-    assert megabytes < 4.0
-    assert kilobytes < 64.0
+    megabytes, _ = memory_growth(600)
+    assert megabytes < 2.0
