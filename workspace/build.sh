@@ -34,6 +34,14 @@ if [ ! -f install/.built ] || [ "$(cat install/.built)" != "$key" ]; then
   echo "$key" >install/.built
 fi
 
+# numba's caches know when a function's own file changes, not when a function that it calls does.
+for package in "${packages[@]}"; do
+  oldest=$(find "$package" -name '*.nbi' -printf '%T@ %p\n' | sort -n | head -n 1 | cut -d' ' -f2-)
+  if [ -n "$oldest" ] && find "$package" -name '*.py' ! -path '*/test/*' -newer "$oldest" | grep -q .; then
+    find "$package" -name '*.nb[ic]' -delete
+  fi
+done
+
 # Compile the numba functions now, never in a first frame's callback; the cache makes this a second when nothing changed.
 (
   # shellcheck source=/dev/null

@@ -15,9 +15,9 @@ from math import erfc, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from pattern_gen.generation import Request
 from pattern_gen.letters import PROJECTOR_GAMMA
 from pattern_gen.pattern import Letter
+from pattern_gen.search_request import Request
 from pattern_gen.shapes import SHAPES
 from pattern_gen.verification import window_codes
 

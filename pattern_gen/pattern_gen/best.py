@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from pattern_gen import depth_first
 from pattern_gen.errors import SearchError
 from pattern_gen.fill_order import growth_order, growth_to, raster_order
-from pattern_gen.generation import Clock, Found, Progress, Report, Request
 from pattern_gen.line_search import MAX_ALPHABET as MAX_LINE_ALPHABET
 from pattern_gen.line_search import LineSearch
 from pattern_gen.local_search import LocalSearch
 from pattern_gen.pattern import Grid
-from pattern_gen.search import Slices, Walker, most_windows
+from pattern_gen.search_request import Clock, Found, Progress, Report, Request, most_windows
+from pattern_gen.walker import Slices, Walker
 from pattern_gen.windows import window_geometry
 
 TEMPERATURES = {Grid.SQUARE: (0.46, 0.40), Grid.HEXAGONAL: (0.40, 0.46)}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pattern_gen.generation import Found, Report, Request
+from pattern_gen.search_request import Found, Report, Request
 from sl_common.files import atomic_path
 
 SEARCH_VERSION = 2  # goes up when a search finds other maps for the same request

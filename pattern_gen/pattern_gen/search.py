@@ -2,90 +2,24 @@
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 from numpy.typing import NDArray
 
-from pattern_gen import depth_first, near_codes, unique_codes
+from pattern_gen import depth_first
 from pattern_gen.errors import SearchError
-from pattern_gen.fill_order import HEXAGONAL_ASPECT, FillOrder, growth_order, growth_sizes, growth_to
-from pattern_gen.generation import Clock, Found, Progress, Report, Request
+from pattern_gen.fill_order import HEXAGONAL_ASPECT, growth_order, growth_sizes, growth_to
 from pattern_gen.pattern import Grid
-from pattern_gen.search_rules import DEEPEST, STEPS, Rules
+from pattern_gen.search_request import Clock, Found, Progress, Report, Request, most_windows
 from pattern_gen.verification import verify_map
+from pattern_gen.walker import Slices, Walker
 from pattern_gen.windows import window_geometry
 
-SLICE = 0.15  # [s] between reports
-FIRST_STEPS = 20_000
 GROWTH_PATIENCE = 50_000  # steps without progress before a map being enlarged jumps back
-
-
-class Slices:
-    """Numbers of steps that take about SLICE seconds: how often a search reports, never what it finds."""
-
-    def __init__(self, first: int = FIRST_STEPS) -> None:
-        self.steps = first
-
-    def took(self, seconds: float) -> None:
-        """Adapt to the time that `steps` steps took."""
-        self.steps = int(np.clip(self.steps * SLICE / max(seconds, 1e-4), 0.2 * self.steps, 5 * self.steps)) + 1
-
-
-class Walker:
-    """One depth-first search."""
-
-    def __init__(
-        self, request: Request, order: FillOrder, cols: int, *, patience: int, deviation: float, seed: int
-    ) -> None:
-        """`patience`, `deviation`: see search_rules.Rules."""
-        geometry = window_geometry(request.grid, request.window)
-        band = -1 if request.band is None else request.band
-        rules = Rules(cols, request.alphabet, request.h, request.own, band, patience, deviation)
-        self.order, self.rules = order, rules
-        prepare = unique_codes.prepare_unique if request.h == 1 and band < 0 else near_codes.prepare
-        self.state: near_codes.State | unique_codes.State = prepare(
-            order, rules, geometry=geometry, turns=request.orientations, seed=seed
-        )
-
-    def adopt(self, symbols: NDArray[np.uint8], cells: int) -> None:
-        """Keep the first `cells` cells, in the order of filling, of a flat map."""
-        depth_first.adopt(self.state, self.order, self.rules, symbols, cells)
-
-    def run(self, steps: int) -> int:
-        """Go on for up to so many steps; returns depth_first.RUNNING, DONE or EXHAUSTED."""
-        return int(depth_first.search(self.state, self.order, self.rules, steps))
-
-    @property
-    def steps(self) -> int:
-        """Steps taken."""
-        return int(self.state.counters[STEPS])
-
-    @property
-    def deepest(self) -> int:
-        """Most cells that were ever filled."""
-        return int(self.state.counters[DEEPEST])
-
-    def best(self, rows: int, cols: int) -> NDArray[np.uint8]:
-        """The top left rows x cols cells of the largest whole map so far."""
-        return self.state.best.reshape(-1, self.rules.cols)[:rows, :cols].copy()
 
 
 def map_aspect(request: Request, image_aspect: float) -> float:
     """Columns over rows of a map that fills an image: hexagonal columns are closer together (section II.D)."""
     return image_aspect if request.grid is Grid.SQUARE else image_aspect * 0.75 * HEXAGONAL_ASPECT
-
-
-def most_windows(request: Request) -> int:
-    """Upper bound of the number of windows: Hamming and Singleton bound."""
-    cells = window_geometry(request.grid, request.window).size
-    a, h = request.alphabet, request.h
-    ball = sum(comb(cells, i) * (a - 1) ** i for i in range((h - 1) // 2 + 1))
-    codes = min(a**cells // ball, a ** (cells - h + 1))
-    if request.orientations == 1:
-        return codes
-    # only where a window's own rotations are h apart, too, does each window take up one code for every orientation
-    return codes // request.orientations if request.own >= request.h else codes
 
 
 def search_map(

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pattern_gen.errors import SearchError
-from pattern_gen.generation import Found, Reading, Report, Request
 from pattern_gen.pattern import Grid
 from pattern_gen.search import search_map
+from pattern_gen.search_request import Found, Reading, Report, Request
 from pattern_gen.verification import verify_map
 
 

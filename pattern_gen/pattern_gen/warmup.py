@@ -9,9 +9,9 @@ from __future__ import annotations
 import time
 
 from pattern_gen.best import LineByLine, Repair
-from pattern_gen.generation import Request
 from pattern_gen.pattern import Grid
 from pattern_gen.search import search_map
+from pattern_gen.search_request import Request
 
 
 def warm_up() -> float:

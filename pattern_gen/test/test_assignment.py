@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from pattern_gen import Grid, Letter, generate
 from pattern_gen.assignment import assign_letters, best_assignment, confusion, separations
-from pattern_gen.generation import Request
 from pattern_gen.letters import choose_letters, default_letters
+from pattern_gen.search_request import Request
 from pattern_gen.windows import window_geometry
 
 

@@ -6,7 +6,7 @@ from test_generation import holds
 
 from pattern_gen import Grid, Pattern, enlarge, generate
 from pattern_gen.errors import SearchError
-from pattern_gen.generation import Reading
+from pattern_gen.search_request import Reading
 
 
 @settings(max_examples=15)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from pattern_gen import Grid, generate
 from pattern_gen.errors import SearchError
-from pattern_gen.generation import Reading
+from pattern_gen.search_request import Reading
 from pattern_gen.verification import verify_map
 
 

@@ -3,11 +3,11 @@ import pytest
 from brute_force import least_distances
 
 from pattern_gen.best import LineByLine, searchers
-from pattern_gen.generation import Reading, Request
 from pattern_gen.line_search import LineSearch
 from pattern_gen.near_lines import free_triples, make_stored, push_line
 from pattern_gen.packing import packing
 from pattern_gen.pattern import Grid
+from pattern_gen.search_request import Reading, Request
 from pattern_gen.windows import window_geometry
 
 

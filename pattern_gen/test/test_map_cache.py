@@ -6,8 +6,8 @@ import pytest
 
 from pattern_gen import generate, search
 from pattern_gen.errors import SearchError
-from pattern_gen.generation import Request
 from pattern_gen.map_cache import cache_folder, cached_search
+from pattern_gen.search_request import Request
 
 REQUEST = Request(alphabet=5, h=3, seed=4)
 
@@ -42,7 +42,7 @@ def test_a_map_is_searched_once(folder, monkeypatch):
     ],
 )  # fmt: skip
 def test_other_requests_are_searched(folder, request_, options):
-    from pattern_gen.generation import Reading
+    from pattern_gen.search_request import Reading
 
     if isinstance(request_.reading, str):
         request_ = Request(alphabet=5, h=3, seed=4, reading=Reading(request_.reading))

@@ -10,9 +10,9 @@ from pattern_gen import Grid, generate
 from pattern_gen.best import Repair, size_ladder
 from pattern_gen.errors import SearchError
 from pattern_gen.fill_order import growth_order, growth_sizes, raster_order
-from pattern_gen.generation import Reading, Request, parse_aspect
 from pattern_gen.local_search import LocalSearch
 from pattern_gen.search import search_map
+from pattern_gen.search_request import Reading, Request, parse_aspect
 from pattern_gen.verification import verify_map
 from pattern_gen.windows import window_geometry
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from pattern_gen import Grid, default_pattern
 from pattern_gen.catalogue import load_ready_pattern, ready_names
-from pattern_gen.generation import Request
 from pattern_gen.search import search_map
+from pattern_gen.search_request import Request
 from pattern_gen.verification import verify_map
 
 

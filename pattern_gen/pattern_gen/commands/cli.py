@@ -8,7 +8,7 @@ import sys
 
 from tqdm import tqdm
 
-from pattern_gen.generation import Progress
+from pattern_gen.search_request import Progress
 
 
 def size(text: str) -> tuple[int, int]:

@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 
 from pattern_gen.commands.cli import ProgressLine, size
-from pattern_gen.generation import Reading, Request, parse_aspect, pattern_of, request_of
+from pattern_gen.generation import pattern_of, request_of
 from pattern_gen.letters import choose_letters
 from pattern_gen.pattern import Grid, Pattern
+from pattern_gen.search_request import Reading, Request, parse_aspect
 from sl_common.commands import make_parser, run_command
 
 EXAMPLE = """\

@@ -11,8 +11,9 @@ import cv2
 from pattern_gen.assignment import assign_letters
 from pattern_gen.commands.cli import ProgressLine
 from pattern_gen.errors import SearchError
-from pattern_gen.generation import Request, pattern_of
+from pattern_gen.generation import pattern_of
 from pattern_gen.letters import choose_letters
+from pattern_gen.search_request import Request
 from pattern_gen.tables import CELLS, TITLES, as_csv, as_markdown, compute, picture
 from sl_common.commands import make_parser, run_command
 from sl_common.files import atomic_path, write_text

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from pattern_gen.errors import PatternError
-from pattern_gen.generation import Reading
 from pattern_gen.pattern import Pattern
+from pattern_gen.search_request import Reading
 from pattern_gen.verification import verify_map
 from sl_common.commands import make_parser, run_command
 

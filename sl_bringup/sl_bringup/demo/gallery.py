@@ -21,7 +21,7 @@ def draw(folder: Path, observer: Observer, cell: Cell, motion: Motion | None) ->
     ):
         if topic in latest:
             pictures.save_image(folder / name, latest[topic])
-    if record.clouds:
+    if record.clouds and len(record.clouds[-1].points):
         cloud = record.clouds[-1]
         colours = clouds.unpack_rgb(clouds.from_message(latest["points"])["rgb"])
         pose = record.camera_poses[min(record.camera_poses, key=lambda t: abs(t - cloud.stamp))]
