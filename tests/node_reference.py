@@ -43,7 +43,7 @@ MEANING = {
     "correspondences": "dots of one image with their place in the pattern; the image's stamp",
     "joint_states": "measured joint positions, mapped by name",
     "robot_description": "URDF of the arm",
-    "points": "point cloud x y z rgb confidence row col mark; the image's stamp",
+    "points": "point cloud x y z rgb confidence row col; the image's stamp",
     "commands": "setpoint of all joints, in the order of `joints` (forward_command_controller)",
     "joint_trajectory": "setpoints that end at rest (joint_trajectory_controller)",
     "/diagnostics": "rates, figures and the reason when something is wrong, at 1 Hz",

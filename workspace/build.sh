@@ -46,8 +46,10 @@ done
 (
   # shellcheck source=/dev/null
   set +u; . ./env.sh; set -u
-  for module in pattern_gen.warmup sl_decoder.warmup sl_sim.warmup; do
-    python -c "import importlib.util, sys; sys.exit(importlib.util.find_spec('$module') is None)" || continue
-    python -m "$module"
+  jobs=()
+  for module in sl_decoder.warmup pattern_gen.warmup sl_sim.warmup; do
+    python -m "$module" &
+    jobs+=($!)
   done
+  for job in "${jobs[@]}"; do wait "$job"; done
 )

@@ -1,6 +1,7 @@
 """The results of the procedures with a grid as files of a calibration folder."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from sl_common.calibration_files import (
     CAMERA_FILE,
     HAND_EYE_KEY,
     PROJECTOR_FILE,
+    PROJECTOR_POSE_FILE,
+    PROJECTOR_POSE_KEY,
     PoseCalibration,
     provenance,
     save_camera,
@@ -70,6 +73,14 @@ def save_procam_calibration(folder: str | os.PathLike[str], result: ProcamCalibr
     )
     save_pose(folder / PAIR_FILE, PAIR_KEY, pose)
     return [folder / name for name in (CAMERA_FILE, PROJECTOR_FILE, PAIR_FILE)]
+
+
+def save_placed_projector(folder: str | os.PathLike[str], pose: PoseCalibration, samples: int) -> Path:
+    """Write projector_pose.yaml; returns its absolute path."""
+    path = Path(folder).expanduser().resolve() / PROJECTOR_POSE_FILE
+    extra = provenance(samples=samples, residuals={}) | {"method": "grid: flange pose, hand-eye transform, pair"}
+    save_pose(path, PROJECTOR_POSE_KEY, replace(pose, extra=extra))
+    return path
 
 
 def save_hand_eye_calibration(path: str | os.PathLike[str], result: HandEye) -> Path:

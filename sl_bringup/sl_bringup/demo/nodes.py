@@ -46,7 +46,7 @@ def chain(calibration_folder: Path) -> list[Executable]:
             cloud_timeout=4.0,
             lost_timeout=15.0,
             driver_lag=1.0,
-            joint_timeout=0.3,  # the ray caster takes the cores: joint states come late
+            joint_timeout=0.5,  # the ray caster takes the cores: joint states come late
         ),
     ]
 

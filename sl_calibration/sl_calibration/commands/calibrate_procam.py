@@ -13,11 +13,14 @@ from sl_calibration.chessboard import Board, BoardNotFoundError, parse_size
 from sl_calibration.commands.calibrate_camera import parameter_line
 from sl_calibration.commands.shared import images_in, read_image
 from sl_calibration.gray_code import Capture, CaptureError, make_capture
-from sl_calibration.grid_files import save_procam_calibration
+from sl_calibration.grid_files import save_placed_projector, save_procam_calibration
 from sl_calibration.intrinsics import MODELS
 from sl_calibration.projector_calibration import ProcamCalibration, ProcamOptions, calibrate_procam
 from sl_calibration.projector_corners import board_in_capture
+from sl_calibration.projector_placement import place_projector
 from sl_calibration.virtual_screen import virtual_screen
+from sl_common import transforms
+from sl_common.calibration_files import PoseCalibration, load_hand_eye
 from sl_common.cameras import CameraModel
 from sl_common.commands import make_parser, progress, run_command
 from sl_common.errors import InvalidInputError
@@ -27,7 +30,8 @@ EXAMPLE = """\
   capture_*
 Each folder holds the photographs of one sequence in the order of their names: column bits, most significant first, each
 followed by its inverse, row bits likewise, then (optionally) all white and all black. Two captures or more, better
-five, the board tilted differently in each. Writes camera.yaml, projector.yaml and camera_from_projector.yaml."""
+five, the board tilted differently in each. Writes camera.yaml, projector.yaml and camera_from_projector.yaml; with
+--flange also projector_pose.yaml, by the hand_eye.yaml that lies in the calibration folder."""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -52,6 +56,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar=("F", "CX", "CY"),
         help="a guess of the projector's focal length and principal point in px; never needed",
     )
+    p.add_argument(
+        "--flange",
+        type=float,
+        nargs=7,
+        metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
+        help="pose of the flange in the base [m] at which the arm held the camera during all captures",
+    )
     p.add_argument("captures", nargs="+", type=Path, metavar="CAPTURE_DIR", help="folders, one for each board pose")
     return p
 
@@ -63,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(args: argparse.Namespace) -> None:
     board = Board(*parse_size(args.board, "board"), args.square)
+    hand_eye = load_hand_eye(args.output) if args.flange else None
     projector = parse_size(args.projector, "projector")
     start = None
     if args.start:
@@ -87,7 +99,12 @@ def _run(args: argparse.Namespace) -> None:
     with name_odd_view(names):
         result = calibrate_procam(np.array(in_camera), np.array(in_projector), board, size, projector, options)
     print(summary(result, names))
-    for path in save_procam_calibration(args.output, result):
+    files = save_procam_calibration(args.output, result)
+    if hand_eye is not None:
+        flange = transforms.from_quaternion(args.flange[:3], args.flange[3:])
+        pair = PoseCalibration(result.camera_from_projector, result.pose_covariance)
+        files.append(save_placed_projector(args.output, place_projector(flange, hand_eye, pair), len(names)))
+    for path in files:
         print(f"wrote {path}")
 
 
