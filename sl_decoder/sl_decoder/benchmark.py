@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import resource
 import subprocess
 import sys
 import time
-import tracemalloc
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -147,11 +147,11 @@ def resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def memory_growth(frames: int) -> tuple[float, float]:
-    """Growth of the resident memory [MB] and of Python's allocations [kB] over `frames` small images.
+def memory_growth(frames: int) -> tuple[float, int]:
+    """Growth of the resident memory [MB] and of the number of Python's live allocations over `frames` small images.
 
-    Decoded and tracked in turn, parts of the pattern moving through the view. Growth of the first tenth does not count:
-    allocators settle. What is held varies with the image, so the least of a hundred images at either end is compared.
+    Decoded and tracked in turn, parts of the pattern moving through the view. Growth of the first third does not count:
+    allocators and caches settle. Both ends are at the same image, with nothing left for the garbage collector.
     """
     pattern = default_pattern()
     decoder = Decoder(pattern)
@@ -159,34 +159,32 @@ def memory_growth(frames: int) -> tuple[float, float]:
     parts = [
         np.ascontiguousarray(camera_image(pattern, 640, 480, shift=1.5 * k, seed=k)[180:300, 240:400]) for k in range(8)
     ]
-    window, first = 100, max(frames // 10, 1)
-    held: dict[int, int] = {}
-    before = 0.0
-    tracemalloc.start()
-    try:
-        for k in range(frames):
-            if k == first:
-                before = resident()
-            image = parts[min(k % 14, 14 - k % 14)]
-            if k % 2:
-                decoder.decode(image)
-            else:
-                tracker.track(image, 1 + k * 16_000_000)
-            if first <= k < first + window or k >= frames - window:
-                held[k] = tracemalloc.get_traced_memory()[0]
-        begin = min(value for k, value in held.items() if k < first + window)
-        end = min(value for k, value in held.items() if k >= frames - window)
-        return resident() - before, (end - begin) / 1024
-    finally:
-        tracemalloc.stop()
+    period = 2 * (len(parts) - 1)
+    first = frames // 3 // period * period
+    before = (0.0, 0)
+    for k in range(frames // period * period + 1):
+        image = parts[min(k % period, period - k % period)]
+        if k % 2:
+            decoder.decode(image)
+        else:
+            tracker.track(image, 1 + k * 16_000_000)
+        if k == first:
+            before = _held()
+    after = _held()
+    return after[0] - before[0], after[1] - before[1]
+
+
+def _held() -> tuple[float, int]:
+    gc.collect()
+    return resident(), sys.getallocatedblocks()
 
 
 def growth_rows(frames: int = 10_000) -> list[Row]:
     """Memory after many images."""
-    megabytes, kilobytes = memory_growth(frames)
+    megabytes, blocks = memory_growth(frames)
     return [
         Row(f"growth of the resident memory over {frames} images", megabytes, "MB", 2.0),
-        Row(f"growth of Python's allocations over {frames} images", kilobytes, "kB"),
+        Row(f"growth of Python's live allocations over {frames} images", blocks, "", 500.0),
     ]
 
 
