@@ -150,7 +150,7 @@ def resident() -> float:
 def memory_growth(frames: int) -> tuple[float, int]:
     """Growth of the resident memory [MB] and of the number of Python's live allocations over `frames` small images.
 
-    Decoded and tracked in turn, parts of the pattern moving through the view. Growth of the first third does not count:
+    Decoded and tracked in turn, parts of the pattern moving through the view. Growth in the first half does not count:
     allocators and caches settle. Both ends are at the same image, with nothing left for the garbage collector.
     """
     pattern = default_pattern()
@@ -160,7 +160,7 @@ def memory_growth(frames: int) -> tuple[float, int]:
         np.ascontiguousarray(camera_image(pattern, 640, 480, shift=1.5 * k, seed=k)[180:300, 240:400]) for k in range(8)
     ]
     period = 2 * (len(parts) - 1)
-    first = frames // 3 // period * period
+    first = frames // 2 // period * period
     before = (0.0, 0)
     for k in range(frames // period * period + 1):
         image = parts[min(k % period, period - k % period)]

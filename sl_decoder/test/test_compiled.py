@@ -57,4 +57,4 @@ def test_a_process_that_decodes_needs_no_compiler() -> None:
 def test_memory_does_not_grow_with_the_images() -> None:
     megabytes, blocks = memory_growth(1500)
     assert megabytes < 2.0
-    assert blocks < 250  # one in four images counted: nothing is kept of each
+    assert blocks < 375  # half an allocation for each image counted: nothing is kept of any
