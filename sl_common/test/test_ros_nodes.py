@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 
 import pytest
 import rclpy
@@ -103,6 +104,8 @@ def test_diagnostics_survive_ticks_from_other_threads_while_they_publish(make_no
 
 PROGRAM = """
     import sys
+    import time
+
     from rclpy.node import Node
     from sl_common.errors import InvalidInputError
     from sl_common.ros.run import run_node
@@ -112,7 +115,13 @@ PROGRAM = """
             super().__init__("tested")
             if "fail" in sys.argv:
                 raise InvalidInputError("the lens cap is on: remove it")
-            self.create_timer(0.05, lambda: print("spinning", flush=True))
+            self.create_timer(0.05, self._work)
+
+        def _work(self):
+            print("spinning", flush=True)
+            if "slow" in sys.argv:
+                time.sleep(2.0)
+                print("done", flush=True)
 
         def destroy_node(self):
             assert self.context.ok(), "a node must be able to publish while it is destroyed"
@@ -123,21 +132,37 @@ PROGRAM = """
 """
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_stops_cleanly_on_a_signal(stop):
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(PROGRAM)],
+def start(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(PROGRAM), *arguments],
         env=os.environ | ISOLATED,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_stops_cleanly_on_a_signal(stop):
+    process = start()
     assert process.stdout.readline() == "spinning\n"
     process.send_signal(stop)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
     assert out.endswith("destroyed\n")
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(("signals", "finished"), [(1, True), (2, False)])
+def test_a_signal_lets_a_callback_finish_and_a_second_one_does_not(signals, finished):
+    process = start("slow")
+    assert process.stdout.readline() == "spinning\n"
+    for _ in range(signals):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.2)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert out == ("done\n" if finished else "") + "destroyed\n"
 
 
 def test_a_node_that_cannot_start_says_why_in_one_line():

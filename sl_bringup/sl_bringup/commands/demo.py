@@ -101,7 +101,8 @@ def run(options: Options, terminal: Terminal) -> bool:
             acts.look(session, terminal)
             failure, motion = _move(session, terminal, options)
             codes = session.processes.stop()
-            terminal.step("all nodes stopped")
+            failed = ", ".join(f"{name} with exit code {code}" for name, code in codes.items() if code)
+            terminal.step(f"all nodes stopped{', not cleanly: ' + failed if failed else ''}")
             rows = _report(session, options, motion, codes, terminal)
             assert session.observer.truth is not None
             rows = self_calibration.rows(calibration, session.observer.truth, calibrated) + rows

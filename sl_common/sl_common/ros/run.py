@@ -13,9 +13,37 @@ from rclpy.signals import SignalHandlerOptions
 
 from sl_common.errors import StructuredLightError
 
+_PATIENCE = 0.2
+"""Time [s] that a quiet node takes at most to see that it was asked to stop."""
+
 
 class _Stop(Exception):  # noqa: N818 (not an error)
-    """A signal asked the process to end."""
+    """A signal asked the process to end, and nothing is lost if it ends here."""
+
+
+class _Signals:
+    """SIGINT and SIGTERM as a wish to stop.
+
+    A first signal interrupts the node's construction, but never a callback: an exception that comes out of the middle
+    of one may surface anywhere, inside foreign code too. A callback that a first signal waits for in vain is
+    interrupted by a second one.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self.interrupts = True
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, _signal: int, _frame: FrameType | None) -> None:
+        again, self.asked = self.asked, True
+        if self.interrupts or again:
+            raise _Stop
+
+    def ignore(self) -> None:
+        """Leave the node's end undisturbed."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def run_node(
@@ -23,36 +51,32 @@ def run_node(
 ) -> int:
     """Create a node, spin it until SIGINT or SIGTERM, and return the process's exit code.
 
-    The context stays valid until the node is gone, so that ``destroy_node`` can still publish (the positioner brings
-    the arm to rest there). A StructuredLightError from the factory is logged as one line and gives exit code 1.
+    A callback that runs when the signal comes is finished first. The context stays valid until the node is gone, so
+    that ``destroy_node`` can still publish (the positioner brings the arm to rest there). A StructuredLightError from
+    the factory is logged as one line and gives exit code 1.
 
     Args:
         factory: Builds the node; called after rclpy.init.
         args: Command line for rclpy; None: sys.argv.
         executor: Builds the executor; None: a single-threaded one.
     """
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        raise _Stop
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
+    signals = _Signals()
     node: Node | None = None
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
         spinner = executor() if executor else SingleThreadedExecutor()
         node = factory()
         spinner.add_node(node)
-        while rclpy.ok():
-            spinner.spin_once(timeout_sec=1.0)
+        signals.interrupts = False
+        while rclpy.ok() and not signals.asked:
+            spinner.spin_once(timeout_sec=_PATIENCE)
     except (_Stop, ExternalShutdownException, KeyboardInterrupt):
         pass
     except (StructuredLightError, InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        signals.ignore()
         if node is not None:
             node.destroy_node()
         if rclpy.ok():
