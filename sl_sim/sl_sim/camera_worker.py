@@ -24,7 +24,7 @@ class WorkerError(StructuredLightError):
 
 def _serve(pipe: Connection, settings: CellSettings, effects: Effects, self_shadow: bool) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(10)  # an image may be late, a control period may not
+    os.nice(5)  # an image may be late, a control period may not
     try:
         import cv2
 

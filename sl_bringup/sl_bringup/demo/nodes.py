@@ -25,7 +25,7 @@ def calibrator(calibration_folder: Path, session_folder: Path) -> Executable:
         niceness=5,
         calibration_folder=calibration_folder,
         session_folder=session_folder,
-        sample_timeout=20.0,
+        sample_timeout=30.0,  # an image may take seconds to render on a busy machine
     )
 
 
