@@ -245,7 +245,7 @@ def test_a_goal_without_usable_joint_states_moves_nothing_and_says_why(chain):
         assert re.search(r"\d", result.message), "the message holds no number"
     assert not chain.commands
     assert chain.positioner.returncode is None
-    client.destroy()
+    chain.peer.thread.run(client.destroy)
 
 
 def broken_calibration(folder, name):

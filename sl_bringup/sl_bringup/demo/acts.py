@@ -139,7 +139,7 @@ def look_closely(session: Session, terminal: Terminal, clouds: int = 5) -> None:
     """At the end: clouds and images at rest, one with the decoder's debug overlay."""
     observer = session.observer
     now = observer.get_clock().now().nanoseconds
-    observer.watch_debug_image(True)
+    session.thread.run(lambda: observer.watch_debug_image(True))
     debug = f"{DECODER}/debug_image"
     try:
         session.wait_for(
@@ -151,7 +151,7 @@ def look_closely(session: Session, terminal: Terminal, clouds: int = 5) -> None:
             lambda: max(observer.record.camera_poses, default=0) > now, 5.0, "the true camera pose, for the report"
         )
     finally:
-        observer.watch_debug_image(False)
+        session.thread.run(lambda: observer.watch_debug_image(False))
     stamp = to_ns(observer.latest[debug].header.stamp)
     dots = dict(observer.record.dots).get(stamp, observer.record.dots[-1][1])
     terminal.step(f"at rest: {dots} dots decoded, {len(observer.record.clouds[-1].points)} points")

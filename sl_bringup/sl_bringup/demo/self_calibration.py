@@ -51,18 +51,18 @@ def self_calibrate(session: Session, terminal: Terminal) -> Outcome:
         return f"{progress.samples if progress else 0} samples; {dots} dots"
 
     def call(kind: Any, name: str, request: Any, timeout: float) -> Any:
-        client = observer.create_client(kind, f"{CALIBRATOR}/{name}")
+        client = session.thread.run(lambda: observer.create_client(kind, f"{CALIBRATOR}/{name}"))
         session.wait_for(client.service_is_ready, 30.0, f"the service ~/{name} (calibrator)")
-        future = client.call_async(request)
+        future = session.thread.run(lambda: client.call_async(request))
         session.wait_for(future.done, timeout, f"an answer of ~/{name} (calibrator)", live)
         answer = future.result()
-        observer.destroy_client(client)
+        session.thread.run(lambda: observer.destroy_client(client))
         if not answer.success:
             raise DemoError(f"self-calibration, {name}: {answer.message}")
         terminal.step(f"  {name}: {answer.message}")
         return answer
 
-    call(Trigger, "run_motion", Trigger.Request(), 240.0)
+    call(Trigger, "run_motion", Trigger.Request(), 600.0)
     computed = call(ComputeCalibration, "compute", ComputeCalibration.Request(), 180.0)
     call(SaveCalibration, "save", SaveCalibration.Request(), 20.0)
     duration = time.monotonic() - started

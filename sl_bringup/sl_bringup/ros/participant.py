@@ -60,7 +60,8 @@ class Thread:
         """Run ``function`` between two callbacks and return its result.
 
         An action client must be used in this way: an answer that arrives in this thread before the caller's has noted
-        the request is dropped (rclpy 7.1).
+        the request is dropped (rclpy 7.1). So must whatever makes or destroys a part of the node: this thread may be
+        about to wait for it.
         """
         task = self._executor.create_task(function)
         while not task.done():
