@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 
@@ -16,6 +17,9 @@ from sl_common.errors import StructuredLightError
 _PATIENCE = 0.2
 """Time [s] that a quiet node takes at most to see that it was asked to stop."""
 
+_INSISTENCE = 1.0
+"""Time [s] after the first signal from which another one means it: Ctrl-C in a launch's terminal comes twice."""
+
 
 class _Stop(Exception):  # noqa: N818 (not an error)
     """A signal asked the process to end, and nothing is lost if it ends here."""
@@ -25,19 +29,22 @@ class _Signals:
     """SIGINT and SIGTERM as a wish to stop.
 
     A first signal interrupts the node's construction, but never a callback: an exception that comes out of the middle
-    of one may surface anywhere, inside foreign code too. A callback that a first signal waits for in vain is
-    interrupted by a second one.
+    of one may surface anywhere, inside foreign code too. A callback that lets a first signal wait is interrupted by
+    a later one.
     """
 
     def __init__(self) -> None:
         self.asked = False
         self.interrupts = True
+        self._since = 0.0
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
 
     def _handle(self, _signal: int, _frame: FrameType | None) -> None:
-        again, self.asked = self.asked, True
-        if self.interrupts or again:
+        now = time.monotonic()
+        if not self.asked:
+            self.asked, self._since = True, now
+        if self.interrupts or now - self._since > _INSISTENCE:
             raise _Stop
 
     def ignore(self) -> None:
@@ -75,6 +82,9 @@ def run_node(
     except (StructuredLightError, InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except Exception:
+        if not signals.asked:  # else it is the interruption, which foreign code passed on as an exception of its own
+            raise
     finally:
         signals.ignore()
         if node is not None:
