@@ -20,8 +20,7 @@ from sl_decoder.compiled import compiled
 from sl_decoder.segmentation import Segments
 
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
-SATURATED = 250  # a channel from here on has lost its proportion
-LANES = 8  # pixels of a blob are summed in groups of this many
+LANES = 16  # pixels of a blob are summed in groups of this many
 SAMPLES = 16  # of the background around a blob
 
 
@@ -50,24 +49,35 @@ class Dots:
 
 
 @compiled
-def _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, order, back):
+def channels(colour):
+    """B, G and R (float32) of a packed pixel (uint32) of the top-hat."""
+    low = np.uint32(255)
+    blue, green, red = colour & low, (colour >> np.uint32(8)) & low, (colour >> np.uint32(16)) & low
+    return np.float32(np.int32(blue)), np.float32(np.int32(green)), np.float32(np.int32(red))
+
+
+@compiled
+def _ring_background(colours, rest, cx, cy, rx, ry, circle, ring, order, back):
     """Background of a blob: mean signal where no blob lies on the ellipse (rx, ry) around (cx, cy).
 
     The lower three quarters count: skirts of neighbours brighten the rest. Writes back (3,); returns the mean variance
     of a channel and how many samples count, fewer than three of them mean nothing. ring (4, S) float32 and order (S,)
     int32: work space.
     """
-    h, w = hat.shape
+    h, w = rest.shape
     m = 0
     for k in range(len(circle)):
         x = int(cx + rx * circle[k, 0] + 0.5)
         y = int(cy + ry * circle[k, 1] + 0.5)
-        if x < 0 or y < 0 or x >= w or y >= h or label[y, x] != 0:
+        if x < 1 or y < 1 or x >= w - 1 or y >= h - 1:
+            continue
+        b, g, r = channels(colours[y, x])
+        value = max(max(b, g), r)
+        if rest[y, x] == 0 and value > 0:
             continue
         # distinct keys: equal values keep their order
-        ring[0, m] = np.float32(hat[y, x]) + np.float32(m) * np.float32(0.01)
-        for c in range(3):
-            ring[1 + c, m] = np.float32(max(smooth[c, y, x], half[c, y >> 1, x >> 1]) - half[c, y >> 1, x >> 1])
+        ring[0, m] = value + np.float32(m) * np.float32(0.01)
+        ring[1, m], ring[2, m], ring[3, m] = b, g, r
         m += 1
     for k in range(m, SAMPLES):
         ring[0, k] = np.float32(1e9)
@@ -93,12 +103,9 @@ def _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, ord
 
 @compiled
 def _measure(
-    smooth,
-    half,
-    hat,
-    label,
-    xs,
-    ys,
+    colours,
+    rest,
+    pixels,
     start,
     peak,
     floor,
@@ -112,7 +119,9 @@ def _measure(
     cut,
     profile,
 ):
-    h, w = hat.shape
+    h, w = rest.shape
+    per_row = 1.0 / w
+    flat = colours.ravel()
     largest = 0
     for j in range(len(peak)):
         largest = max(largest, start[j + 1] - start[j])
@@ -128,24 +137,29 @@ def _measure(
         whole = (count + LANES - 1) // LANES * LANES
         base = floor[j]
         half_height = np.float32(0.5) * (peak[j] - base)
-        x_first, y_first = np.float32(xs[s]), np.float32(ys[s])
-        touches = False
+        first = np.int64(pixels[s])
+        y_first = first // w
+        x_first = first - y_first * w
         for k in range(count):
-            x, y = np.int64(xs[s + k]), np.int64(ys[s + k])
-            pixel[0, k] = np.float32(x) - x_first
-            pixel[1, k] = np.float32(y) - y_first
-            pixel[2, k] = np.float32(hat[y, x]) - base
-            full = np.uint8(0)
-            for c in range(3):
-                v = smooth[c, y, x]
-                full = max(full, v)
-                pixel[3 + c, k] = np.float32(max(v, half[c, y >> 1, x >> 1]) - half[c, y >> 1, x >> 1])
-            pixel[6, k] = np.float32(full >= SATURATED)
-            touches |= pixel[2, k] >= half_height and (x <= 1 or y <= 1 or x >= w - 2 or y >= h - 2)
-        for k in range(count, whole):
-            for row in range(7):
-                pixel[row, k] = zero
-            pixel[2, k] = -one  # below half of any peak
+            i = np.int64(pixels[s + k])
+            y = np.int64((i + 0.5) * per_row)
+            pixel[0, k] = np.float32(np.int32(i - y * w - x_first))
+            pixel[1, k] = np.float32(np.int32(y - y_first))
+            pixel[2, k] = np.uint32(flat[i]).view(np.float32)
+        left, right = np.float32(1 - x_first), np.float32(w - 2 - x_first)
+        top, bottom = np.float32(1 - y_first), np.float32(h - 2 - y_first)
+        outside = zero
+        for k in range(count):
+            word = np.float32(pixel[2, k]).view(np.uint32)
+            blue, green, red = channels(word)
+            pixel[2, k] = max(max(blue, green), red) - base
+            pixel[3, k], pixel[4, k], pixel[5, k] = blue, green, red
+            pixel[6, k] = np.float32(np.int32(word >> np.uint32(24)))
+            x, y = pixel[0, k], pixel[1, k]
+            rim = (x <= left) | (y <= top) | (x >= right) | (y >= bottom)
+            outside += np.float32(rim & (pixel[2, k] >= half_height))
+        pixel[:, count:whole] = zero
+        pixel[2, count:whole] = -one  # below half of any peak
         n = sx = sy = sw = mx = my = xx = xy = yy = c0 = c1 = c2 = sat = zero
         for k in range(whole):
             v = pixel[2, k]
@@ -173,17 +187,18 @@ def _measure(
         xy = xy * r - mx * my
         yy = yy * r - my * my + np.float32(1 / 12)
         fx, fy = sx / sw, sy / sw
-        cx, cy = x_first + fx, y_first + fy
+        x0, y0 = np.float32(x_first), np.float32(y_first)
+        cx, cy = x0 + fx, y0 + fy
         covariance[j, 0] = xx
         covariance[j, 1] = xy
         covariance[j, 2] = yy
         area[j] = int(n)
         saturated[j] = sat * r
-        cut[j] = touches
+        cut[j] = outside > zero
         profile[j] = zero
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        variance, m = _ring_background(smooth, half, hat, label, cx, cy, rx, ry, circle, ring, order, back)
+        variance, m = _ring_background(colours, rest, cx, cy, rx, ry, circle, ring, order, back)
         if m >= 3:
             # neighbouring pixels share the filter: about three of them count as one
             noise[j] = np.sqrt(max(variance, np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
@@ -239,8 +254,8 @@ def _measure(
                 break
         if (ox - fx) ** 2 + (oy - fy) ** 2 > np.float32(0.5) * (xx + yy) + np.float32(0.25):
             ox, oy = fx, fy
-        centre[j, 0] = x_first + ox
-        centre[j, 1] = y_first + oy
+        centre[j, 0] = x0 + ox
+        centre[j, 1] = y0 + oy
         sw = m2 = m4 = zero
         for k in range(whole):
             dx = pixel[0, k] - ox
@@ -272,12 +287,9 @@ def measure(segments: Segments) -> Dots:
         profile=np.zeros(n, np.float32),
     )
     _measure(
-        segments.smooth,
-        segments.background,
-        segments.hat,
-        segments.label,
-        segments.xs,
-        segments.ys,
+        segments.colour,
+        segments.rest,
+        segments.pixels,
         segments.start,
         segments.peak,
         segments.floor,

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sl_decoder.centres import SATURATED
 from sl_decoder.compiled import compiled
+from sl_decoder.planes import SATURATED
 
 WEIGHT = 2.6  # the weight is zero at this many times the size of the core
 LEAST_CONTRAST = 2.5  # standard deviations that a dot's mean must stand above its background

@@ -15,15 +15,50 @@ from numpy.typing import NDArray
 
 from sl_decoder.compiled import compiled
 
+SATURATED = 250  # a channel from here on has lost its proportion
+
 
 def smoothed(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Planes (3, H, W) uint8 of an image (H, W, 3) under the 3x3 binomial filter.
+    """Planes (3, H, W) uint8 of an image (H, W, 3) under the 3x3 binomial filter, mirrored at the border.
 
     It removes the frequency of a Bayer mosaic.
     """
-    planes = np.empty((3, *bgr.shape[:2]), np.uint8)
-    cv2.split(cv2.GaussianBlur(bgr, (3, 3), 0), list(planes))
-    return planes
+    planes = np.empty((2, 3, *bgr.shape[:2]), np.uint8)
+    cv2.split(bgr, list(planes[0]))
+    binomial(planes[0], planes[1])
+    return planes[1]
+
+
+@compiled
+def binomial(planes, smooth):
+    """Planes (3, H, W) uint8 under the filter 1 2 1 over 4 along rows and columns, rounded once: smooth (3, H, W)."""
+    _, h, w = planes.shape
+    column = np.empty(w + 2, np.uint16)
+    two, half = np.uint16(2), np.uint16(8)
+    for c in range(3):
+        for y in range(h):
+            above, here, below = planes[c, abs(y - 1)], planes[c, y], planes[c, min(y + 1, 2 * h - 3 - y)]
+            for x in range(w):
+                column[x + 1] = np.uint16(above[x]) + two * np.uint16(here[x]) + np.uint16(below[x])
+            column[0], column[w + 1] = column[2], column[w - 1]
+            out = smooth[c, y]
+            for x in range(w):
+                out[x] = (column[x] + two * column[x + 1] + column[x + 2] + half) >> np.uint16(4)
+
+
+@compiled
+def halve(planes, small):
+    """Mean of every 2x2 pixels of planes (3, H, W) uint8: small (3, ceil(H / 2), ceil(W / 2)) uint8."""
+    _, h, w = planes.shape
+    for c in range(3):
+        for y in range(small.shape[1]):
+            one, two, out = planes[c, 2 * y], planes[c, min(2 * y + 1, h - 1)], small[c, y]
+            for x in range(w // 2):
+                left = np.uint16(one[2 * x]) + np.uint16(two[2 * x])
+                total = left + np.uint16(one[2 * x + 1]) + np.uint16(two[2 * x + 1]) + np.uint16(2)
+                out[x] = np.uint8(total >> np.uint16(2))
+            if w & 1:
+                out[w // 2] = np.uint8((np.uint16(one[w - 1]) + np.uint16(two[w - 1]) + np.uint16(1)) >> np.uint16(1))
 
 
 def background(smooth: NDArray[np.uint8], kernel: int) -> NDArray[np.uint8]:
@@ -33,17 +68,21 @@ def background(smooth: NDArray[np.uint8], kernel: int) -> NDArray[np.uint8]:
     """
     _, h, w = smooth.shape
     half = np.empty((3, (h + 1) // 2, (w + 1) // 2), np.uint8)
+    halve(smooth, half)
     side = max(3, (kernel // 2) | 1)
     element = np.ones((side, side), np.uint8)
-    for c in range(3):
-        small = cv2.resize(smooth[c], half.shape[:0:-1], interpolation=cv2.INTER_AREA)
-        cv2.morphologyEx(small, cv2.MORPH_OPEN, element, dst=half[c])
+    for plane in half:
+        cv2.morphologyEx(plane, cv2.MORPH_OPEN, element, dst=plane)
     return half
 
 
 @compiled
-def top_hat(smooth, half, hat):
-    """Largest channel (H, W) uint8 of what stands above the background."""
+def top_hat(smooth, half, hat, colour):
+    """What stands above the background: hat (H, W) uint8 its largest channel, colour (H, W) uint32 its channels.
+
+    A colour is B + 256 G + 65536 R, plus 2^24 where the image is saturated: all that is to be known of a pixel in one
+    word.
+    """
     _, h, w = smooth.shape
     wide = np.empty((3, w + 2), np.uint8)
     for hy in range((h + 1) // 2):
@@ -55,12 +94,18 @@ def top_hat(smooth, half, hat):
                 out[2 * x + 1] = row[x]
         for y in range(2 * hy, min(h, 2 * hy + 2)):
             blue, green, red = smooth[0, y], smooth[1, y], smooth[2, y]
-            to = hat[y]
+            to, word = hat[y], colour[y]
             for x in range(w):
                 b = max(blue[x], wide[0, x]) - wide[0, x]
                 g = max(green[x], wide[1, x]) - wide[1, x]
                 r = max(red[x], wide[2, x]) - wide[2, x]
                 to[x] = np.uint8(max(max(b, g), r))
+            for x in range(w):
+                b = np.uint32(max(blue[x], wide[0, x]) - wide[0, x])
+                g = np.uint32(max(green[x], wide[1, x]) - wide[1, x])
+                r = np.uint32(max(red[x], wide[2, x]) - wide[2, x])
+                full = np.uint32(max(max(blue[x], green[x]), red[x]) >= np.uint8(SATURATED))
+                word[x] = b | (g << np.uint32(8)) | (r << np.uint32(16)) | (full << np.uint32(24))
 
 
 @compiled

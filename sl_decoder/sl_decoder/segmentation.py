@@ -31,17 +31,16 @@ class Segments:
     """A segmented image with N blobs.
 
     smooth (3, H, W) uint8: planes of the image under the 3x3 binomial filter that removes the mosaic's frequency;
-    background (3, ceil(H / 2), ceil(W / 2)) uint8 at half resolution; hat (H, W) uint8 the largest channel of what
-    stands above it; label (H, W) int16 blob index + 1 or 0; xs, ys (P,) int16 its pixels blob by blob, start (N + 1,)
-    int32 where each blob's begin; peak, floor (N,) float32 height of the blob and of the background around it in `hat`.
+    colour (H, W) uint32 what stands above the background, packed (see `planes.top_hat`); rest (H, W) uint8 its largest
+    channel where no blob is; pixels (P,) int32 the blobs' pixels, y * W + x, blob by blob, start (N + 1,) int32 where
+    each blob's begin; peak, floor (N,) float32 height of the blob and of the background around it in the largest
+    channel.
     """
 
     smooth: NDArray[np.uint8]
-    background: NDArray[np.uint8]
-    hat: NDArray[np.uint8]
-    label: NDArray[np.int16]
-    xs: NDArray[np.int16]
-    ys: NDArray[np.int16]
+    colour: NDArray[np.uint32]
+    rest: NDArray[np.uint8]
+    pixels: NDArray[np.int32]
     start: NDArray[np.int32]
     peak: NDArray[np.float32]
     floor: NDArray[np.float32]
@@ -100,75 +99,72 @@ def measure_noise(hat, factor, floor, threshold):
 
 
 @compiled
-def flood(hat, level, threshold, maximum, label, xs, ys, start, peak, base):
+def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
     """Blobs around the maxima of the top-hat.
 
     From every local maximum, pixels connected above SADDLE_RATIO of its height belong to the same dot, whatever small
     maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. maximum (H, W)
-    uint8: where to start. Writes label (H, W) int16 (must be zero) and the pixels' xs, ys int16 blob by blob; start,
-    peak, base per blob. Returns the number of blobs.
+    uint8: where to start. Sets hat to zero in the blobs, which is how a pixel is known to be taken, and along the
+    border of the image, so that nobody needs to look for that. Writes the pixels' indices int32 and their height uint8
+    blob by blob; start, peak, base per blob. Returns the number of blobs.
     """
     h, w = hat.shape
+    hat[0], hat[h - 1], hat[:, 0], hat[:, w - 1] = 0, 0, 0, 0
     n = 0
     end = 0
     flat = hat.ravel()
-    mark = label.ravel()
     begin = maximum.ravel()
     around = (-w - 1, -w, -w + 1, -1, 1, w - 1, w, w + 1)
-    right = (-1, 0, 1, -1, 1, -1, 0, 1)
-    down = (-1, -1, -1, 0, 0, 1, 1, 1)
     chunks = begin[: len(begin) // 8 * 8].view(np.uint64)
     for chunk in range(len(chunks) + 1):
         if chunk < len(chunks) and chunks[chunk] == 0:
             continue
         for i in range(8 * chunk, min(8 * chunk + 8, len(begin))):
-            if begin[i] == 0 or mark[i] != 0 or n >= len(peak) or end + 64 > len(xs):
+            if begin[i] == 0 or flat[i] == 0 or n >= len(peak):
                 continue
             y = i // w
             x = i - y * w
             floor = level[y // BLOCK, x // BLOCK]
-            value = flat[i]
+            value = np.int64(flat[i])
             n += 1
             first = end
-            mark[i] = n
-            xs[end] = x
-            ys[end] = y
+            pixels[end] = i
+            height[end] = flat[i]
+            flat[i] = 0
             end += 1
-            join = np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor))
+            join = np.int64(np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor)))
             head = first
             while head < end:
-                px, py = xs[head], ys[head]
+                j = np.int64(pixels[head])
                 head += 1
-                if px <= 0 or py <= 0 or px >= w - 1 or py >= h - 1:
-                    continue
-                j = np.int64(py) * w + px
                 for step in range(8):
                     k = j + around[step]
-                    if flat[k] >= join and mark[k] == 0 and end < len(xs):
-                        mark[k] = n
-                        xs[end] = px + right[step]
-                        ys[end] = py + down[step]
+                    v = flat[k]
+                    if v >= join:
+                        flat[k] = 0
+                        pixels[end] = k
+                        height[end] = v
                         end += 1
-                        if flat[k] > value:
-                            value = flat[k]
-                            join = np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor))
+                        if v > value:
+                            value = np.int64(v)
+                            join = np.int64(np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor)))
             top = np.float32(value)
             foot = max(floor + np.float32(FOOT_RATIO) * (top - floor), np.float32(threshold[y // BLOCK, x // BLOCK]))
-            least = np.int64(foot)
+            low = np.int64(foot) + 1
             head = first
             while head < end:
-                px, py = xs[head], ys[head]
+                j = np.int64(pixels[head])
+                span = np.int64(height[head]) - low
                 head += 1
-                if px <= 0 or py <= 0 or px >= w - 1 or py >= h - 1:
+                if span < 0:
                     continue
-                j = np.int64(py) * w + px
-                here = flat[j]
                 for step in range(8):
                     k = j + around[step]
-                    if least < flat[k] <= here and mark[k] == 0 and end < len(xs):
-                        mark[k] = n
-                        xs[end] = px + right[step]
-                        ys[end] = py + down[step]
+                    v = flat[k]
+                    if np.uint64(v - low) <= np.uint64(span):
+                        flat[k] = 0
+                        pixels[end] = k
+                        height[end] = v
                         end += 1
             start[n - 1] = first
             peak[n - 1] = top
@@ -183,22 +179,20 @@ def segment(bgr: NDArray[np.uint8], kernel: int) -> Segments:
     kernel: side of the opening [px], wider than a dot and not much wider than the dots' distance.
     """
     smooth = smoothed(bgr)
-    half = background(smooth, kernel)
     h, w = bgr.shape[:2]
     hat = np.empty((h, w), np.uint8)
-    top_hat(smooth, half, hat)
+    colour = np.empty((h, w), np.uint32)
+    top_hat(smooth, background(smooth, kernel), hat, colour)
     shape = (-(-h // BLOCK), -(-w // BLOCK))
     level = np.empty(shape, np.float32)
     threshold = np.empty(shape, np.uint8)
     measure_noise(hat, NOISE_FACTOR, level, threshold)
     maximum = np.empty((h, w), np.uint8)
     mark_maxima(hat, threshold, BLOCK, maximum)
-    label = np.zeros((h, w), np.int16)
-    capacity = h * w // 2 + 64
-    xs = np.empty(capacity, np.int16)
-    ys = np.empty(capacity, np.int16)
+    pixels = np.empty(h * w + 8, np.int32)
+    height = np.empty(h * w + 8, np.uint8)
     start = np.empty(MAX_BLOBS + 1, np.int32)
     peak = np.empty(MAX_BLOBS, np.float32)
     floor = np.empty(MAX_BLOBS, np.float32)
-    n = flood(hat, level, threshold, maximum, label, xs, ys, start, peak, floor)
-    return Segments(smooth, half, hat, label, xs, ys, start[: n + 1], peak[:n], floor[:n])
+    n = flood(hat, level, threshold, maximum, pixels, height, start, peak, floor)
+    return Segments(smooth, colour, hat, pixels, start[: n + 1], peak[:n], floor[:n])
