@@ -9,6 +9,7 @@ import numpy as np
 from pattern_gen import Pattern
 from pattern_gen.rendering import coverage
 
+UPPER_TAIL = 0.9  # quantile of a channel's drive values and of its signals by which gains are told
 SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
 
 
@@ -18,7 +19,8 @@ class Alphabet:
 
     colour (A, 3) float64 B, G, R drive values 0..1; hue (A,) and shape (A,) index; group (A,) int32 hue and shape
     together; direction (G, 3) unit colour of a group; level (A,) float64 logarithm of the drive relative to the
-    group's brightest; share (A,) of the map's dots; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
+    group's brightest; share (A,) of the map's dots; upper (3,) drive value at UPPER_TAIL of the dots' channels;
+    profiles (S,) radial kurtosis (log) of each shape, seen sharp.
     """
 
     colour: np.ndarray
@@ -28,6 +30,7 @@ class Alphabet:
     direction: np.ndarray
     level: np.ndarray
     share: np.ndarray
+    upper: np.ndarray
     profiles: np.ndarray
 
 
@@ -61,6 +64,9 @@ def read_alphabet(pattern: Pattern) -> Alphabet:
     strength = np.linalg.norm(colour, axis=1)
     level = np.array([np.log(strength[i] / strength[group == group[i]].max()) for i in range(len(colour))])
     share = np.bincount(pattern.symbols.ravel(), minlength=len(colour)).astype(np.float64)
+    share /= share.sum()
+    order = np.argsort(colour, axis=0)
+    tail = [min(int(np.searchsorted(np.cumsum(share[one]), UPPER_TAIL)), len(one) - 1) for one in order.T]
     return Alphabet(
         colour=colour,
         hue=hue,
@@ -68,6 +74,7 @@ def read_alphabet(pattern: Pattern) -> Alphabet:
         group=group,
         direction=np.repeat(np.array(directions), len(names), axis=0),
         level=level,
-        share=share / share.sum(),
+        share=share,
+        upper=np.sort(colour, axis=0)[tail, range(3)],
         profiles=np.array([sharp_profile(name) for name in names], np.float32),
     )

@@ -58,15 +58,15 @@ def window_code(letters: np.ndarray, alphabet: int) -> int:
 @compiled
 def find_code(codes, code):
     """Index of the first entry of the sorted `codes` that equals `code`, or -1."""
+    if len(codes) == 0:
+        return -1
     low = 0
-    high = len(codes)
-    while low < high:
-        middle = (low + high) >> 1
-        if codes[middle] < code:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < len(codes) and codes[low] == code else -1
+    left = len(codes)
+    while left > 1:  # halves without a branch that depends on the codes
+        half = left >> 1
+        low += half * np.int64(codes[low + half - 1] < code)
+        left -= half
+    return low if codes[low] == code else -1
 
 
 def build_codebook(pattern: Pattern) -> Codebook:

@@ -360,28 +360,13 @@ class Interpretation:
         )
         self.weigh_letters()
 
-    def recover(self, smooth: NDArray[np.uint8], limit: float, offset: np.float32 | None = None) -> None:
+    def recover(self, smooth: NDArray[np.uint8], limit: float, offset: np.float32 = recovery.UNKNOWN_OFFSET) -> None:
         """Measure the dots that the lattice expects and segmentation did not give; judge.
 
-        offset: of the log signal measured at a known place from that of the other dots; None: found here.
+        offset: of the log signal measured at a known place from that of the other dots, where it is known.
         """
         book, lattice, model = self.book, self.book.lattice, self.model
         assert model is not None
-        if offset is None:
-            offset = np.float32(
-                recovery.matched_offset(
-                    self.claim,
-                    smooth,
-                    self.centre,
-                    self.covariance,
-                    self.signal,
-                    book.letters,
-                    lattice.steps,
-                    model,
-                    CIRCLE,
-                    200,
-                )
-            )
         tried = np.zeros(self.claim.shape, np.bool_)
         before = self.n
         self.n = recovery.recover(

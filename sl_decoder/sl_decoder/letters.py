@@ -13,49 +13,69 @@ from __future__ import annotations
 
 import numpy as np
 
-from sl_decoder.alphabet import Alphabet
+from sl_decoder.alphabet import UPPER_TAIL, Alphabet
 from sl_decoder.compiled import compiled
 from sl_decoder.intensity_field import first_levels, local_field, quantile
 from sl_decoder.letter_model import LetterModel, fit_model, log_signal
 
 
-def channel_gains(alphabet: Alphabet, colour: np.ndarray) -> np.ndarray:
+def channel_gains(alphabet: Alphabet, colour: np.ndarray, use: np.ndarray) -> np.ndarray:
     """Gains (3,) that the channels of the image have over the drive values, from the upper tails of both."""
-    gains = np.zeros(3)
-    for c in range(3):
-        order = np.argsort(alphabet.colour[:, c])
-        cumulative = np.cumsum(alphabet.share[order])
-        reference = alphabet.colour[order[min(int(np.searchsorted(cumulative, 0.9)), len(order) - 1)], c]
-        if reference > 0.1:
-            gains[c] = max(float(quantile(colour[:, c].copy(), 0.9)), 1e-3) / reference
+    reference = alphabet.upper
+    gains = np.where(reference > 0.1, np.maximum(upper_tails(colour, use), 1e-3) / np.maximum(reference, 0.1), 0.0)
     seen = gains > 0
     gains[~seen] = gains[seen].mean() if seen.any() else 1.0
     return gains
 
 
 @compiled
-def _assign_groups(colour, direction, group):
-    """Nearest direction of each dot; returns sums of unit colours per group."""
+def upper_tails(colour, use):
+    """Quantiles (3,) at UPPER_TAIL of the channels of colour (N, 3) over the dots in use (N,) bool."""
+    pool = np.empty(len(colour), np.float32)
+    out = np.empty(3)
+    for c in range(3):
+        m = 0
+        for i in range(len(colour)):
+            pool[m] = colour[i, c]
+            m += np.int64(use[i])
+        out[c] = quantile(pool[:m], UPPER_TAIL)
+    return out
+
+
+@compiled
+def assign_hues(colour, use, direction, group):
+    """Settle unit directions (G, 3) float32 on the dots in use (N,) bool, in place; writes the nearest of each dot.
+
+    Four rounds of k-means by angle; a direction with hardly any dot stays where it is.
+    """
     n = len(colour)
     g = len(direction)
-    total = np.zeros((g, 3))
+    unit = np.empty((n, 3), np.float32)
     for i in range(n):
         a, b, c = colour[i, 0], colour[i, 1], colour[i, 2]
         norm = np.sqrt(a * a + b * b + c * c)
-        best = -2.0
-        to = 0
-        if norm > 0:
+        scale = np.float32(1) / norm if norm > 0 else np.float32(0)
+        unit[i, 0], unit[i, 1], unit[i, 2] = a * scale, b * scale, c * scale
+    total = np.empty((g, 3))
+    for turn in range(5):
+        total[:] = 0
+        for i in range(n):
+            a, b, c = unit[i, 0], unit[i, 1], unit[i, 2]
+            best = np.float32(-2)
+            to = 0
             for k in range(g):
-                d = (a * direction[k, 0] + b * direction[k, 1] + c * direction[k, 2]) / norm
-                if d > best:
-                    best = d
-                    to = k
-            if best > 0.5:
-                total[to, 0] += a / norm
-                total[to, 1] += b / norm
-                total[to, 2] += c / norm
-        group[i] = to
-    return total
+                d = a * direction[k, 0] + b * direction[k, 1] + c * direction[k, 2]
+                to = k if d > best else to
+                best = max(d, best)
+            group[i] = to
+            if use[i] and best > np.float32(0.5):
+                total[to, 0] += a
+                total[to, 1] += b
+                total[to, 2] += c
+        for k in range(g):
+            norm = np.sqrt((total[k] * total[k]).sum())
+            if norm > 3.0 and turn < 4:
+                direction[k] = total[k] / norm
 
 
 @compiled
@@ -104,23 +124,17 @@ def initial_letters(
     like part of a lattice; first (A, 3) B G R of the letters from a colour calibration, None: the pattern's own under
     the gains of the image.
     """
-    chosen = colour[use] if use.sum() >= 9 else colour
-    letter_colour = alphabet.colour * channel_gains(alphabet, chosen) if first is None else first
+    enough = use if np.count_nonzero(use) >= 9 else np.ones_like(use)
+    letter_colour = alphabet.colour * channel_gains(alphabet, colour, enough) if first is None else first
     hues = int(alphabet.hue.max()) + 1
     shapes = len(alphabet.profiles)
     start = np.array([letter_colour[alphabet.hue == h].mean(0) for h in range(hues)])
     if first is None:
         start += 0.08 * start.max(1, keepdims=True)  # some crosstalk is everywhere
     direction = (start / np.linalg.norm(start, axis=1, keepdims=True)).astype(np.float32)
-    some = np.empty(len(chosen), np.int32)
-    for _ in range(4):
-        total = _assign_groups(chosen, direction, some)
-        norm = np.linalg.norm(total, axis=1)
-        settled = norm > 3.0
-        direction[settled] = (total[settled] / norm[settled, None]).astype(np.float32)
     n = len(colour)
     group = np.empty(n, np.int32)
-    _assign_groups(colour, direction, group)
+    assign_hues(colour, enough, direction, group)
     if shapes > 1:
         shape = np.zeros(n, np.int32)
         share = np.array([alphabet.share[alphabet.shape == s].sum() for s in range(shapes)])

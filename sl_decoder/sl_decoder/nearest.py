@@ -12,7 +12,9 @@ from sl_decoder.compiled import compiled
 PER_CELL = 5.5  # points in a cell on average: three by three of them hold sixteen nearest neighbours of a lattice's dot
 LANES = 16  # candidates that are compared at once
 MOST_RANKED = 96  # candidates up to which all are compared with all
+SPARE = 12  # candidates beyond the number wanted that are ranked with them
 FAR = np.float32(3e38)
+FURTHEST = np.int32(0x7F7FFFFF)  # of the keys
 
 
 @compiled
@@ -60,6 +62,7 @@ def nearest(points, k):
     candidate = np.empty(n + LANES, np.int32)
     rank = np.empty(n + LANES, np.int32)
     chosen = np.empty(k, np.int32)
+    within = np.float32(FAR)  # squared distance within which the neighbours of the last point lay
     for s in range(n):
         px, py = xs[s], ys[s]
         cx, cy = int((px - x0) * scale), int((py - y0) * scale)
@@ -77,15 +80,19 @@ def nearest(points, k):
             if bottom < ny - 1:
                 gap = min(gap, y0 + np.float32(bottom + 1) * cell - py)
             limit = gap * gap if gap < np.float32(1e18) else FAR
-            m = 0
+            total = 0
             for gy in range(max(0, top), min(ny, bottom + 1)):
                 first, last = begin[gy * nx + max(0, left)], begin[gy * nx + min(nx - 1, right) + 1]
-                for q in range(first, last):
-                    ex, ey = xs[q] - px, ys[q] - py
+                for q in range(last - first):
+                    ex, ey = xs[first + q] - px, ys[first + q] - py
                     d = ex * ex + ey * ey
-                    key[m] = np.float32(d).view(np.int32)
-                    candidate[m] = q
-                    m += np.int64((d <= limit) & (q != s))
+                    key[total + q] = np.float32(d).view(np.int32)
+                    candidate[total + q] = first + q
+                if first <= s < last:
+                    key[total + s - first] = FURTHEST
+                total += last - first
+            within = _radius(key, total, k, within, limit)
+            m = _keep(key, candidate, total, within)
             if m >= k or gap == FAR:
                 break
             ring += 1
@@ -94,6 +101,37 @@ def nearest(points, k):
         for p in range(found):
             out[members[s], p] = members[candidate[chosen[p]]]
     return out
+
+
+@compiled
+def _radius(key, total, k, within, limit):
+    """Squared distance (float32) up to `limit` within which `k` and a few more of key (total,) lie, or `limit`.
+
+    within: where to try first. In the plane the number within a squared distance grows with that.
+    """
+    for _ in range(4):
+        bound = min(within, limit)
+        integer = np.float32(bound).view(np.int32)
+        number = np.int32(0)
+        for q in range(total):
+            number += np.int32(key[q] <= integer)
+        if k <= number <= k + SPARE or (number < k and bound == limit):
+            return bound
+        within = bound * (np.float32(k + SPARE // 2) / np.float32(max(number, np.int32(1))))
+    return limit
+
+
+@compiled
+def _keep(key, candidate, total, within):
+    """Keep of the first `total` keys and candidates, in place, those up to `within`; returns how many."""
+    integer = np.float32(within).view(np.int32)
+    m = 0
+    for q in range(total):
+        value = key[q]
+        key[m] = value
+        candidate[m] = candidate[q]
+        m += np.int64(value <= integer)
+    return m
 
 
 @compiled

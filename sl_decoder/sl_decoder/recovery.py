@@ -17,6 +17,8 @@ from sl_decoder.letter_model import evidence_of_one, mixtures, neighbours_field,
 from sl_decoder.matched import WORK, measure_at
 
 REACH = 0.3  # search radius around the prediction, lattice units
+OFFSET_SAMPLES = 100  # dots that are measured both ways to find how the two ways differ
+UNKNOWN_OFFSET = np.float32(np.nan)
 APART = 0.5  # a recovered dot keeps this distance from all held ones, lattice units
 
 
@@ -36,6 +38,55 @@ def _mean_footprint(claim, v, u, covariance, area, window):
             size += area[j]
             m += 1
     return cxx / m, cxy / m, cyy / m, size / m
+
+
+@compiled
+def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, model, circle):
+    """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
+    rows, cols = claim.shape
+    values = np.empty(OFFSET_SAMPLES, np.float32)
+    found = np.empty(7, np.float32)
+    work = np.empty(WORK, np.float32)
+    mixes = mixtures(model.direction)
+    n = 0
+    held = 0
+    for v in range(rows):
+        for u in range(cols):
+            held += claim[v, u] >= 0
+    stride = max(1, held // OFFSET_SAMPLES)
+    count = 0
+    for v in range(rows):
+        for u in range(cols):
+            i = claim[v, u]
+            if i < 0:
+                continue
+            count += 1
+            if count % stride or n >= OFFSET_SAMPLES:
+                continue
+            _, _, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
+            if kind >= EXTRAPOLATED:
+                continue
+            g = model.group[map_letters[v, u]]
+            if measure_at(
+                smooth,
+                centre[i, 0],
+                centre[i, 1],
+                covariance[i, 0],
+                covariance[i, 1],
+                covariance[i, 2],
+                mixes[g],
+                ax,
+                ay,
+                bx,
+                by,
+                np.float32(0.2),
+                circle,
+                work,
+                found,
+            ):
+                values[n] = projected_signal(found[2], found[3], found[4], model.direction[g]) - signal[i]
+                n += 1
+    return np.float32(np.median(values[:n])) if n > 0 else np.float32(0)
 
 
 @compiled
@@ -67,7 +118,8 @@ def recover(
     """Look for the dots of all free elements next to held ones, outwards until nothing more is found.
 
     Writes new dots behind the first `n` of the per-dot arrays (as long as there is room) and claims them. tried (V, U)
-    bool: elements not to look at again. Returns the new number of dots.
+    bool: elements not to look at again. level_offset: see `matched_offset`, nan: found here when there is any use for
+    it. Returns the new number of dots.
     """
     rows, cols = claim.shape
     capacity = len(holder_u)
@@ -89,6 +141,8 @@ def recover(
                     waiting[v, u] = True
                     tail += 1
                     break
+    if tail > 0 and np.isnan(level_offset):
+        level_offset = matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, model, circle)
     while head < tail and n < capacity:
         v, u = queue[head, 0], queue[head, 1]
         head += 1
@@ -147,52 +201,3 @@ def recover(
                 waiting[vv, uu] = True
                 tail += 1
     return n
-
-
-@compiled
-def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps, model, circle, most):
-    """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
-    rows, cols = claim.shape
-    values = np.empty(most, np.float32)
-    found = np.empty(7, np.float32)
-    work = np.empty(WORK, np.float32)
-    mixes = mixtures(model.direction)
-    n = 0
-    held = 0
-    for v in range(rows):
-        for u in range(cols):
-            held += claim[v, u] >= 0
-    stride = max(1, held // most)
-    count = 0
-    for v in range(rows):
-        for u in range(cols):
-            i = claim[v, u]
-            if i < 0:
-                continue
-            count += 1
-            if count % stride or n >= most:
-                continue
-            _, _, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
-            if kind >= EXTRAPOLATED:
-                continue
-            g = model.group[map_letters[v, u]]
-            if measure_at(
-                smooth,
-                centre[i, 0],
-                centre[i, 1],
-                covariance[i, 0],
-                covariance[i, 1],
-                covariance[i, 2],
-                mixes[g],
-                ax,
-                ay,
-                bx,
-                by,
-                np.float32(0.2),
-                circle,
-                work,
-                found,
-            ):
-                values[n] = projected_signal(found[2], found[3], found[4], model.direction[g]) - signal[i]
-                n += 1
-    return np.median(values[:n]) if n > 0 else np.float32(0)

@@ -186,7 +186,6 @@ class Tracker:
                 book.lattice.steps,
                 self._model,
                 CIRCLE,
-                200,
             )
         )
         known = np.zeros(self._claim.shape, np.bool_)
