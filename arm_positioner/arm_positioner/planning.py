@@ -23,7 +23,8 @@ _NEAR = 0.5
 """Joint motion [rad or m] below which another solution cannot be expected to be nearer."""
 _ROLL_STEPS = 12
 """Rolls tried to either side, up to half a turn."""
-_REFUSALS = (UnreachableError, JointLimitError, SingularityError)
+REFUSALS = (UnreachableError, JointLimitError, SingularityError)
+"""What is wrong with a goal that another one may do better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class Planner:
             candidates = self._candidates(tip, current) if roll == 0.0 else self._beside(tip, current, starts)
             try:
                 positions, condition = self._first_regular(candidates, preview)
-            except _REFUSALS as error:
+            except REFUSALS as error:
                 refused = refused or error
                 continue
             plans.append(Plan(positions, pose, condition))

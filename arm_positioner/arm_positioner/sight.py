@@ -3,13 +3,14 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_positioner.errors import ObjectGoneError
 from arm_positioner.following import TargetFilter
-from arm_positioner.target import Target, TargetOptions, find_target
+from arm_positioner.target import Target, TargetOptions, find_target, other_targets
 from sl_common import transforms
 
 Array = NDArray[np.float64]
@@ -26,6 +27,7 @@ class Sighting:
         confidence: (N,) or None.
         row: (N,) or None.
         col: (N,) or None.
+        projector: (3,) its position [m], or None.
     """
 
     time: float
@@ -34,14 +36,22 @@ class Sighting:
     confidence: NDArray | None = None
     row: NDArray | None = None
     col: NDArray | None = None
+    projector: Array | None = None
 
 
 class Sight:
     """Finds the target in each cloud and keeps to the same object."""
 
-    def __init__(self, smoothing: TargetFilter | None = None, find: Callable[..., Target] = find_target) -> None:
-        """Smooth followed targets by ``smoothing``; ``find`` is find_target, or the same in another process."""
-        self._find = find
+    def __init__(
+        self,
+        smoothing: TargetFilter | None = None,
+        find: Callable[..., Target] = find_target,
+        find_others: Callable[..., list[Target]] = other_targets,
+    ) -> None:
+        """Smooth followed targets by ``smoothing``; the functions are those of :mod:`.target`, or the same in another
+        process.
+        """
+        self._find, self._find_others = find, find_others
         self._filter = smoothing or TargetFilter()
         self._lock = threading.Lock()
         self._latest: Target | None = None
@@ -87,6 +97,18 @@ class Sight:
             self._filter.update(sighting.time, target.base_from_camera)
         return target
 
+    def others(self, sighting: Sighting, options: TargetOptions) -> list[Target]:
+        """Return targets before other places of the object last looked at; see :func:`.target.other_targets`."""
+        latest = self._latest
+        previous = None if latest is None else latest.surface.point
+        return self._find_others(sighting.points, sighting.base_from_camera, **_details(sighting, options, previous))
+
+    def take(self, target: Target) -> None:
+        """Keep to the place of ``target`` from now on."""
+        with self._lock:
+            self._filter.reset()
+            self._latest, self._offset = target, target.surface.point - target.middle
+
     def _find_in(
         self,
         sighting: Sighting,
@@ -98,19 +120,21 @@ class Sight:
         return self._find(
             sighting.points,
             sighting.base_from_camera,
-            confidence=sighting.confidence,
-            row=sighting.row,
-            col=sighting.col,
-            options=options,
-            previous=previous,
             anchor=anchor,
             offset=offset,
+            **_details(sighting, options, previous),
         )
 
     def expected(self, time: float) -> Array:
         """Return the smoothed target pose (4, 4) expected at ``time`` [s]."""
         with self._lock:
             return self._filter.at(time)
+
+
+def _details(sighting: Sighting, options: TargetOptions, previous: Array | None) -> dict[str, Any]:
+    """Return what finding targets is told beside the points and the camera's pose."""
+    names = ("confidence", "row", "col", "projector")
+    return {name: getattr(sighting, name) for name in names} | {"options": options, "previous": previous}
 
 
 def nearly_equal(a: Array, b: Array, *, distance: float = 3e-4, angle: float = 2e-3) -> bool:

@@ -74,6 +74,11 @@ class SurfacePatch:
         """Standard deviation of the normal in its worst direction [rad]."""
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1], 0.0)))
 
+    @property
+    def height_sigma(self) -> float:
+        """Standard deviation of the point along the normal [m]."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
     def angle_to(self, viewpoint: Array) -> float:
         """Return the angle between the normal and the line of sight to ``viewpoint`` (3,) [rad]."""
         sight = viewpoint - self.point

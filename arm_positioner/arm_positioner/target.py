@@ -4,30 +4,19 @@
 paper, section III.B). All in the robot's base frame.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_positioner import segmentation
+from arm_positioner.common_error import common_covariance
 from arm_positioner.errors import InvalidGoalError, ObjectGoneError, TargetError
+from arm_positioner.places import clear_patch, other_patches
 from arm_positioner.surface import FitOptions, SurfacePatch, fit_patch
 from sl_common import transforms
 
 Array = NDArray[np.float64]
-
-_WHOLE = 0.95
-"""Share of the points around a place that have to fit one surface; below, a crease or an edge is near."""
-_OBLIQUE = 0.8
-"""Angle between normal and line of sight up to which a place faces the camera [rad]."""
-_PER_OBLIQUENESS = 0.01
-"""What an angle past that weighs against the uncertainty of the normal [1]."""
-_PLACES = 16
-"""Places on the object that are looked at for a clear normal."""
-_APART = 2.5
-"""How far they are apart at least, in units of the points' spacing."""
-_INNER = 0.6
-"""How far out they lie at most, as a share of the object's extent from its middle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +68,7 @@ def find_target(
     row: ArrayLike | None = None,
     col: ArrayLike | None = None,
     options: TargetOptions | None = None,
+    projector: Array | None = None,
     previous: Array | None = None,
     anchor: Array | None = None,
     offset: Array | None = None,
@@ -92,6 +82,7 @@ def find_target(
         row: (N,) pattern row of each point; None: neighbours by distance.
         col: (N,) pattern column of each point.
         options: How to choose.
+        projector: (3,) its position [m], by which the uncertainty allows for rays that meet at a small angle.
         previous: (3,) surface point chosen before [m]: the same object is taken again.
         anchor: (3,) position [m] to which the target's surface point stays next; None: as ``offset`` says.
         offset: (3,) of the target's surface point from the object's middle [m]; None: as near the middle as the normal
@@ -100,6 +91,68 @@ def find_target(
     Raises TargetError, with the numbers, where there is no object or its surface fits too poorly.
     """
     options = options or TargetOptions()
+    found = _find_object(points, base_from_camera, confidence, row, col, options, previous)
+    viewpoint = base_from_camera[:3, 3]
+    if anchor is None and offset is not None:
+        anchor = found.middle + offset
+    if anchor is None:
+        surface = clear_patch(*found.patch(viewpoint), fit=options.fit, clear=options.clear_normal_sigma)
+    else:
+        centre = found.points[np.argmin(np.linalg.norm(found.points - anchor, axis=1))]
+        surface = fit_patch(found.points, found.weights, centre, viewpoint, found.spacing, options=options.fit)
+    return _target(surface, found, base_from_camera, projector, options)
+
+
+def other_targets(
+    points: ArrayLike,
+    base_from_camera: Array,
+    *,
+    confidence: ArrayLike | None = None,
+    row: ArrayLike | None = None,
+    col: ArrayLike | None = None,
+    options: TargetOptions | None = None,
+    projector: Array | None = None,
+    previous: Array | None = None,
+) -> list[Target]:
+    """Return targets in front of other places of the same object, for one that the arm cannot go to, the best first.
+
+    See :func:`find_target` for the arguments, and :func:`.places.other_patches` for what is best.
+    """
+    options = options or TargetOptions()
+    found = _find_object(points, base_from_camera, confidence, row, col, options, previous)
+    patches = other_patches(
+        *found.patch(base_from_camera[:3, 3]),
+        fit=options.fit,
+        clear=options.clear_normal_sigma,
+        standoff=options.standoff,
+    )
+    return [_target(surface, found, base_from_camera, projector, options) for surface in patches]
+
+
+@dataclass(frozen=True, eq=False)
+class _Object:
+    """The points (N, 3) of the object [m], their weights (N,), their spacing [m] and their median (3,) [m]."""
+
+    points: Array
+    weights: Array
+    spacing: float
+    middle: Array
+
+    def patch(self, viewpoint: Array) -> tuple[Array, Array, Array, float]:
+        """Return what a surface is fitted to."""
+        return self.points, self.weights, viewpoint, self.spacing
+
+
+def _find_object(
+    points: ArrayLike,
+    base_from_camera: Array,
+    confidence: ArrayLike | None,
+    row: ArrayLike | None,
+    col: ArrayLike | None,
+    options: TargetOptions,
+    previous: Array | None,
+) -> _Object:
+    """Return the nearest coherent patch of a cloud, or the one at ``previous``; see :func:`find_target`."""
     xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     n = len(xyz)
     weight = np.ones(n) if confidence is None else np.asarray(confidence, dtype=np.float64)
@@ -112,30 +165,37 @@ def find_target(
     xyz, weight = xyz[keep], weight[keep]
     rows = None if row is None else np.asarray(row)[keep]
     cols = None if col is None else np.asarray(col)[keep]
-    viewpoint = base_from_camera[:3, 3]
     labels = segmentation.components(xyz, rows, cols)
     chosen = segmentation.nearest_component(
-        xyz, labels, viewpoint, min_points=options.min_object_points, previous=previous
+        xyz, labels, base_from_camera[:3, 3], min_points=options.min_object_points, previous=previous
     )
-    if previous is not None and chosen.size:
-        _require_near(xyz[chosen], previous, options.max_jump)
     if chosen.size == 0:
         raise TargetError(
             f"no coherent object: the largest of {labels.max() + 1} patches has {np.bincount(labels).max()} points, "
             f"at least {options.min_object_points} are needed"
         )
-    patch_points, patch_weight = xyz[chosen], weight[chosen]
-    spacing = segmentation.spacing(patch_points)
-    middle = np.median(patch_points, axis=0)
-    if anchor is None and offset is not None:
-        anchor = middle + offset
-    if anchor is None:
-        surface = _clear_patch(patch_points, patch_weight, viewpoint, spacing, options)
-    else:
-        centre = patch_points[np.argmin(np.linalg.norm(patch_points - anchor, axis=1))]
-        surface = fit_patch(patch_points, patch_weight, centre, viewpoint, spacing, options=options.fit)
+    if previous is not None:
+        _require_near(xyz[chosen], previous, options.max_jump)
+    found = xyz[chosen]
+    return _Object(found, weight[chosen], segmentation.spacing(found), np.median(found, axis=0))
+
+
+def _target(
+    surface: SurfacePatch, found: _Object, base_from_camera: Array, projector: Array | None, options: TargetOptions
+) -> Target:
+    """Return the target in front of a piece of surface, its uncertainty with that of the triangulation."""
+    if projector is not None:
+        common = common_covariance(
+            surface.point,
+            surface.normal,
+            surface.tangents,
+            base_from_camera[:3, 3],
+            projector,
+            options.fit.place_sigma,
+        )
+        surface = replace(surface, covariance=surface.covariance + common)
     pose = facing_pose(surface.point, surface.normal, base_from_camera, options.standoff, options.roll)
-    return Target(pose, surface, len(chosen), middle)
+    return Target(pose, surface, len(found.points), found.middle)
 
 
 def _require_near(points: Array, previous: Array, limit: float) -> None:
@@ -146,49 +206,6 @@ def _require_near(points: Array, previous: Array, limit: float) -> None:
             f"the object is gone: the nearest patch is {1e3 * distance:.0f} mm from where it was seen before, limit "
             f"{1e3 * limit:.0f} mm"
         )
-
-
-def _clear_patch(
-    points: Array, weights: Array, viewpoint: Array, spacing: float, options: TargetOptions
-) -> SurfacePatch:
-    """Return the piece of surface nearest the middle of the object on which the normal is clear: known well, free of
-    creases, towards the camera; the clearest where there is none.
-
-    Raises TargetError with the reason at the middle where no fit is good enough.
-    """
-    refused: TargetError | None = None
-    best: SurfacePatch | None = None
-    least = (True, np.inf)
-    for centre in _places(points, spacing):
-        try:
-            patch = fit_patch(points, weights, centre, viewpoint, spacing, options=options.fit)
-        except TargetError as error:
-            refused = refused or error
-            continue
-        doubt = patch.normal_sigma + _PER_OBLIQUENESS * max(patch.angle_to(viewpoint) - _OBLIQUE, 0.0)
-        rank = (patch.share < _WHOLE, doubt)
-        if best is None or rank < least:
-            best, least = patch, rank
-        if least <= (False, options.clear_normal_sigma):
-            break
-    if best is None:
-        assert refused is not None
-        raise refused
-    return best
-
-
-def _places(points: Array, spacing: float) -> list[Array]:
-    """Return points of an object (N, 3) to aim at, the one in the middle first, each some dots from the others."""
-    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    inner = distance <= _INNER * np.quantile(distance, 0.9)
-    inner[np.argmin(distance)] = True
-    chosen: list[Array] = []
-    for i in np.argsort(distance, kind="stable")[: np.count_nonzero(inner)]:
-        if all(np.linalg.norm(points[i] - other) > _APART * spacing for other in chosen):
-            chosen.append(points[i])
-        if len(chosen) == _PLACES:
-            break
-    return chosen
 
 
 def facing_pose(

@@ -1,4 +1,4 @@
-"""find_target in a process of its own, so that fitting a cloud never keeps the setpoint thread from the interpreter.
+"""Targets are found in a process of its own, so that fitting a cloud never keeps the setpoints from the interpreter.
 
 The process ends when its parent does, however that ends: its input is then at an end.
 """
@@ -10,18 +10,21 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from arm_positioner.errors import PositionerError
-from arm_positioner.target import Target, find_target
+from arm_positioner.target import Target, find_target, other_targets
+
+T = TypeVar("T")
 
 _NICENESS = 0
 """The fit gives way to the setpoints where the node has raised its own priority."""
 
 
 class TargetProcess:
-    """Calls :func:`arm_positioner.target.find_target` elsewhere; falls back to this process where that fails."""
+    """Calls the functions of :mod:`arm_positioner.target` elsewhere; falls back to this process where that fails."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -30,16 +33,23 @@ class TargetProcess:
 
     def find(self, *args: Any, **kwargs: Any) -> Target:
         """Return what find_target returns for the same arguments, or raise what it raises."""
+        return self._call(find_target, args, kwargs)
+
+    def others(self, *args: Any, **kwargs: Any) -> list[Target]:
+        """Return what other_targets returns for the same arguments, or raise what it raises."""
+        return self._call(other_targets, args, kwargs)
+
+    def _call(self, function: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
         with self._lock:
             try:
-                answer = self._ask((args, kwargs))
+                answer = self._ask((function, args, kwargs))
             except (OSError, EOFError, pickle.UnpicklingError) as error:
                 logging.getLogger(__name__).warning("target process lost (%s): started anew", error)
                 self._start()
-                return find_target(*args, **kwargs)
+                return function(*args, **kwargs)
         if isinstance(answer, PositionerError):
             raise answer
-        return answer
+        return cast(T, answer)
 
     def close(self) -> None:
         """End the process."""
@@ -61,7 +71,7 @@ class TargetProcess:
             [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
         )
 
-    def _ask(self, call: tuple[tuple[Any, ...], dict[str, Any]]) -> Any:
+    def _ask(self, call: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]) -> Any:
         if self._process is None:
             raise EOFError("closed")
         assert self._process.stdin is not None
@@ -80,11 +90,11 @@ def serve() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints must not spoil the answers
     while True:
         try:
-            args, kwargs = pickle.load(requests)
+            function, args, kwargs = pickle.load(requests)
         except EOFError:
             return
         try:
-            answer: Target | PositionerError = find_target(*args, **kwargs)
+            answer = function(*args, **kwargs)
         except PositionerError as error:
             answer = error
         except Exception as error:  # a defect in the fit must not end the service

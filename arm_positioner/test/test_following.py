@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -120,3 +122,15 @@ def test_a_tracked_object_that_is_gone_is_said_to_be_and_a_new_goal_takes_the_ne
     sight.choose_anew()
     assert sight.look(cloud, TargetOptions()).object_points == 100
     assert find.asked[-1]["previous"] is None
+
+
+def test_a_place_that_is_taken_is_kept():
+    find = Finder()
+    sight = Sight(find=find, find_others=lambda *_, **question: [question["previous"]])
+    cloud = Sighting(0.0, np.zeros((1, 3)), np.eye(4))
+    seen = sight.look(cloud, TargetOptions())
+    assert np.allclose(sight.others(cloud, TargetOptions())[0], seen.surface.point)
+    surface = replace(seen.surface, point=np.array([0.2, 0.1, 1.0]))
+    sight.take(replace(seen, surface=surface))
+    sight.look(cloud, TargetOptions())
+    assert np.allclose(find.asked[-1]["offset"], (0.12, 0.09, 0.0))

@@ -25,7 +25,7 @@ def scene():
     settings = SimpleNamespace(
         follow_smoothing=0.15, watch=WatchOptions(), base_frame="base_link", camera_frame="camera_optical_frame"
     )
-    hand_eye = SimpleNamespace(flange_from_camera=transforms.identity(), problem="")
+    hand_eye = SimpleNamespace(flange_from_camera=transforms.identity(), projector=None, problem="")
     it = Scene(SimpleNamespace(), settings, hand_eye, SimpleNamespace())
     it.attach(kinematics("six"), None)
     yield it

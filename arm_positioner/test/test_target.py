@@ -4,7 +4,7 @@ from positioner_scenes import box, cast, nearest, plane, sphere
 
 from arm_positioner.errors import InvalidGoalError, ObjectGoneError, TargetError
 from arm_positioner.surface import FitOptions
-from arm_positioner.target import TargetOptions, facing_pose, find_target
+from arm_positioner.target import TargetOptions, facing_pose, find_target, other_targets
 from sl_common import transforms
 
 CAMERA = transforms.look_at((0.1, -0.05, 0.0), (0.0, 0.0, 1.0), (0, -1, 0))
@@ -202,3 +202,40 @@ def test_the_uncertainty_includes_that_of_the_place_on_a_curved_surface():
         points, CAMERA, row=row, col=col, options=TargetOptions(fit=FitOptions(place_sigma=1e-3))
     ).surface
     assert patch.normal_sigma == pytest.approx(1e-3 / 0.05, rel=0.25)
+
+
+def test_other_places_lie_all_over_the_object_the_one_with_the_shortest_way_first():
+    ball = sphere((0.02, 0.03, 1.0), 0.15)
+    points, row, col = cast(nearest(ball, WALL), pitch=0.006, noise=2e-4)
+    here = find_target(points, CAMERA, row=row, col=col)
+    others = other_targets(points, CAMERA, row=row, col=col, previous=here.surface.point)
+    assert len(others) > 5
+    places = np.array([t.surface.point for t in others])
+    assert np.ptp(places, axis=0)[:2].min() > 0.08
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(len(places), 1)]
+    assert apart.min() > 0.015
+    for t in others:
+        assert abs(np.linalg.norm(t.surface.point - (0.02, 0.03, 1.0)) - 0.15) < 1e-3
+        assert angle(t.base_from_camera[:3, 2], -t.surface.normal) < 1e-6
+    ways = [np.linalg.norm(t.base_from_camera[:3, 3] - CAMERA[:3, 3]) for t in others]
+    assert ways[0] == min(ways)
+
+
+def test_other_places_keep_off_a_crease_while_there_are_any():
+    points, row, col = cast(roof(0.35), noise=1e-4)
+    others = other_targets(points, CAMERA, row=row, col=col)
+    patch = others[0].surface
+    assert abs(patch.point[0] - 0.02) > 0.02
+    side = np.copysign(np.sin(0.35), patch.point[0] - 0.02)
+    assert angle(patch.normal, np.array([side, 0, -np.cos(0.35)])) < 0.02
+
+
+def test_the_uncertainty_includes_that_of_rays_that_meet_at_a_small_angle():
+    points, row, col = cast(plane((0, 0, 1.0), (0, 0, -1.0)), noise=3e-4)
+    without, wide, narrow = (
+        find_target(points, CAMERA, row=row, col=col, projector=projector).surface
+        for projector in (None, np.array([-0.8, 0.2, 0.0]), np.array([0.02, 0.1, -0.3]))
+    )
+    assert without.normal_sigma < wide.normal_sigma < 1.1 * without.normal_sigma + 1.5e-3
+    assert narrow.normal_sigma > 5 * wide.normal_sigma
+    assert np.array_equal(narrow.normal, wide.normal)

@@ -9,7 +9,7 @@ import pytest
 from positioner_scenes import cast, plane
 
 from arm_positioner.errors import TargetError
-from arm_positioner.target import TargetOptions, find_target
+from arm_positioner.target import TargetOptions, find_target, other_targets
 from arm_positioner.target_process import TargetProcess
 from sl_common import transforms
 
@@ -28,6 +28,8 @@ def test_it_answers_as_find_target_does(elsewhere):
     kwargs = {"row": row, "col": col, "options": TargetOptions(standoff=0.2)}
     here, there = find_target(points, CAMERA, **kwargs), elsewhere.find(points, CAMERA, **kwargs)
     assert np.array_equal(here.base_from_camera, there.base_from_camera)
+    here, there = other_targets(points, CAMERA, **kwargs), elsewhere.others(points, CAMERA, **kwargs)
+    assert [t.surface.point.tolist() for t in here] == [t.surface.point.tolist() for t in there]
     with pytest.raises(TargetError, match="0 usable points of 0"):
         elsewhere.find(np.zeros((0, 3)), CAMERA)
     with pytest.raises(Exception, match="surface fit failed"):

@@ -11,6 +11,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
+from arm_positioner.choosing import camera_sigma, first_possible, tells_more
 from arm_positioner.errors import (
     Code,
     InvalidGoalError,
@@ -25,7 +26,7 @@ from arm_positioner.ros.scene import Scene
 from arm_positioner.sight import nearly_equal
 from arm_positioner.supervisor import Supervisor
 from arm_positioner.surface import SurfacePatch
-from arm_positioner.target import TargetOptions
+from arm_positioner.target import Target, TargetOptions
 from arm_positioner.task import Kind, Outcome, Task
 from sl_common.errors import StructuredLightError
 from sl_msgs.action import PositionArm
@@ -88,37 +89,49 @@ class PositionArmServer:
             return self._await(supervisor, goal, task), task
         options = self._options(request.standoff)
         self._scene.choose_anew()
-        seen = self._scene.look(options, self._settings.goal_timeout)
-        task = self._begin(
-            supervisor,
-            goal,
-            order,
-            Kind.OBJECT,
-            seen.base_from_camera,
-            follow=request.follow,
-            free_roll=self._settings.free_roll,
-        )
+
+        def begin(wanted: Target) -> Task:
+            pose, free = wanted.base_from_camera, self._settings.free_roll
+            return self._begin(supervisor, goal, order, Kind.OBJECT, pose, follow=request.follow, free_roll=free)
+
+        preferred = self._scene.look(options, self._settings.goal_timeout)
+        seen, task, choice = first_possible(preferred, lambda: self._scene.others(options), begin)
+        if choice:
+            self._scene.take(seen)
+            self._node.get_logger().info(f"going to a place {choice}")
         with self._scene.tracking(task, options):
             outcome = self._await(supervisor, goal, task)
-        surface = seen.surface
         for _ in range(self._settings.refinements):
             if outcome.code is not Code.REACHED or goal.is_cancel_requested:
                 break
             try:
-                better = self._scene.look(options, self._settings.watch.cloud_timeout, anchor=seen.surface.point)
-                surface = better.surface
-                if nearly_equal(better.base_from_camera, task.target):
+                better = self._look_again(seen, options)
+                if better is None:
                     break
-                task = self._begin(supervisor, goal, order, Kind.OBJECT, better.base_from_camera, duration=1.0)
+                seen = better
+                if nearly_equal(seen.base_from_camera, task.target):
+                    break
+                task = self._begin(supervisor, goal, order, Kind.OBJECT, seen.base_from_camera, duration=1.0)
             except PositionerError as error:
                 self._node.get_logger().info(f"target kept, no second look: {error}")
                 break
             with self._scene.tracking(task, options):
                 outcome = self._await(supervisor, goal, task)
-        return self._with_certainty(outcome, surface), task
+        return self._with_certainty(outcome, seen.surface, choice), task
 
-    def _with_certainty(self, outcome: Outcome, surface: SurfacePatch) -> Outcome:
-        """Say how well the surface normal was known, and warn where that is not enough."""
+    def _look_again(self, seen: Target, options: TargetOptions) -> Target | None:
+        """Return the target as it is seen from in front of it; None where that tells no more than the look before."""
+        better = self._scene.look(options, self._settings.watch.cloud_timeout, anchor=seen.surface.point)
+        if tells_more(seen, better):
+            return better
+        before, now = (1e3 * camera_sigma(target) for target in (seen, better))
+        self._node.get_logger().info(f"target kept: known to {before:.1f} mm, by a second look to {now:.1f} mm only")
+        return None
+
+    def _with_certainty(self, outcome: Outcome, surface: SurfacePatch, choice: str) -> Outcome:
+        """Say which place was chosen where it is not the one preferred, and how well its normal was known; warn where
+        that is not enough.
+        """
         if outcome.code is not Code.REACHED:
             return outcome
         sigma, limit = surface.normal_sigma, self._settings.doubtful_normal_sigma
@@ -126,7 +139,7 @@ class PositionArmServer:
         if sigma > limit:
             text += f", more than {np.degrees(limit):.2f} deg: it bends or is seen by too few dots there"
             self._node.get_logger().warning(text)
-        return Outcome(outcome.code, f"{outcome.message}; {text}")
+        return Outcome(outcome.code, "; ".join(filter(None, (outcome.message, choice, text))))
 
     def _options(self, standoff: float) -> TargetOptions:
         if not np.isfinite(standoff) or standoff < 0:

@@ -50,14 +50,16 @@ def stamped(transform: Array, frame: str, stamp_ns: int) -> PoseStamped:
     return message
 
 
-def sighting(message: PointCloud2, time: float, base_from_camera: Array, *, in_camera_frame: bool) -> Sighting:
+def sighting(
+    message: PointCloud2, time: float, base_from_camera: Array, projector: Array | None, *, in_camera_frame: bool
+) -> Sighting:
     """Return a cloud of either frame as points in the base frame; raises InvalidInputError for a malformed cloud."""
     fields = clouds.from_message(message)
     points = np.stack([fields[k].astype(np.float64) for k in "xyz"], axis=1)
     if in_camera_frame:
         points = transforms.apply(base_from_camera, points)
     extra = {name: fields.get(name) for name in ("confidence", "row", "col")}
-    return Sighting(time, points, base_from_camera, **extra)
+    return Sighting(time, points, base_from_camera, **extra, projector=projector)
 
 
 def markers(

@@ -17,7 +17,7 @@ from arm_positioner.hand_eye import HandEye
 from arm_positioner.ros.complaints import Complaints
 from arm_positioner.ros.conversions import pose_to_array, sighting
 from arm_positioner.ros.parameters import Settings
-from arm_positioner.sight import Sight, nearly_equal
+from arm_positioner.sight import Sight, Sighting, nearly_equal
 from arm_positioner.supervisor import Supervisor
 from arm_positioner.target import Target, TargetOptions
 from arm_positioner.target_process import TargetProcess
@@ -47,7 +47,7 @@ class Scene:
         self._node, self._settings, self._hand_eye, self._complaints = node, settings, hand_eye, complaints
         self._fitting = TargetProcess()
         smoothing = TargetFilter(time_constant=max(settings.follow_smoothing, 1e-3))
-        self._sight = Sight(smoothing, self._fitting.find)
+        self._sight = Sight(smoothing, self._fitting.find, self._fitting.others)
         self._joints = JointBuffer(max_gap=settings.watch.joint_timeout)
         self._joint_lock = threading.Lock()
         self._fresh = threading.Condition()
@@ -160,6 +160,20 @@ class Scene:
             except StructuredLightError as error:
                 failure = InvalidGoalError(str(error))
 
+    def others(self, options: TargetOptions) -> list[Target]:
+        """Return targets before other places of the object in the newest cloud; see :meth:`.Sight.others`.
+
+        Raises TargetError or another StructuredLightError where that cloud is of no use any more.
+        """
+        message = self._cloud
+        if message is None:
+            raise TargetError("no point cloud any more")
+        return self._sight.others(self._sighting(message), options)
+
+    def take(self, target: Target) -> None:
+        """Keep to the place of ``target`` from now on."""
+        self._sight.take(target)
+
     def base_from_goal(self, message: PoseStamped) -> Array:
         """Return base_from_camera (4, 4) of a goal in the base or the camera frame.
 
@@ -178,6 +192,10 @@ class Scene:
         return self._camera_at(stamp or self._newest_stamp()) @ pose
 
     def _target(self, message: PointCloud2, options: TargetOptions, anchor: Array | None) -> Target:
+        return self._sight.look(self._sighting(message), options, anchor=anchor)
+
+    def _sighting(self, message: PointCloud2) -> Sighting:
+        """Return a cloud in the base frame; raises StructuredLightError for one that is too old or of no use."""
         stamp, frame = to_ns(message.header.stamp), message.header.frame_id
         age = 1e-9 * (self._now() - stamp)
         if age > self._settings.watch.cloud_timeout:
@@ -188,8 +206,13 @@ class Scene:
                 f"'{self._settings.camera_frame}'"
             )
         camera = self._camera_at(stamp)
-        seen = sighting(message, time.monotonic() - age, camera, in_camera_frame=frame == self._settings.camera_frame)
-        return self._sight.look(seen, options, anchor=anchor)
+        return sighting(
+            message,
+            time.monotonic() - age,
+            camera,
+            self._hand_eye.projector,
+            in_camera_frame=frame == self._settings.camera_frame,
+        )
 
     def _camera_at(self, stamp_ns: int) -> Array:
         deadline = time.monotonic() + _PAIRING_WAIT
