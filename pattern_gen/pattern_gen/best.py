@@ -3,8 +3,8 @@
 Turns are counted in steps and not in time: what is found, and in which order, depends on the seed alone; the time
 limit only ends the search. Depth-first search fills the square grid along its shorter side: the two lines that still
 matter are then short, and back-tracking reaches them soon. For h >= 2 on the square grid the search line by line goes
-furthest. On the hexagonal grid, where a cell's window mostly holds cells that were filled long ago, the focused local
-search wins.
+furthest, and for up to a thousand windows or two the search for maps whose letters shift. On the hexagonal grid, where
+a cell's window mostly holds cells that were filled long ago, the focused local search wins.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ from pattern_gen.line_search import LineSearch
 from pattern_gen.local_search import LocalSearch
 from pattern_gen.pattern import Grid
 from pattern_gen.search_request import Clock, Found, Progress, Report, Request, most_windows
+from pattern_gen.shifted_letters import ShiftedLetters
 from pattern_gen.walker import Slices, Walker
 from pattern_gen.windows import window_geometry
 
 TEMPERATURES = {Grid.SQUARE: (0.46, 0.40), Grid.HEXAGONAL: (0.40, 0.46)}
 MAX_REPAIR_WINDOWS = 100_000
+MAX_SHIFTED_WINDOWS = 3_000
 SMALL_CELLS = 300  # of maps for which the ascending orders are worth a try
 DEVIATION, DEVIATION_PATIENCE = 0.05, 100_000  # of the ascending order that differs from seed to seed
 FALLING_WEIGHTS = (0.5, 0.35)  # of the letters, see line_search
@@ -194,6 +196,8 @@ def searchers(request: Request, rows: int, cols: int) -> list[Callable[[], Searc
         kinds.append(lambda: DepthFirst(request, rows, cols, seed, deviation=DEVIATION))
     if request.h >= 2 and request.band is None:
         square = request.grid is Grid.SQUARE
+        if square and windows <= MAX_SHIFTED_WINDOWS:
+            kinds.append(lambda: ShiftedLetters(request, rows, cols))
         if square and request.window == 3 and request.alphabet <= MAX_LINE_ALPHABET:
             for turn, falling in enumerate(FALLING_WEIGHTS):
                 kinds.append(

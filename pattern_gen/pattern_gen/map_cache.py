@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pattern_gen.search_request import Found, Report, Request
 from sl_common.files import atomic_path
 
-SEARCH_VERSION = 2  # goes up when a search finds other maps for the same request
+SEARCH_VERSION = 3  # goes up when a search finds other maps for the same request
 
 
 def cache_folder() -> Path:

@@ -12,6 +12,7 @@ from pattern_gen.best import LineByLine, Repair
 from pattern_gen.pattern import Grid
 from pattern_gen.search import search_map
 from pattern_gen.search_request import Request
+from pattern_gen.shifted_letters import ShiftedLetters
 
 
 def warm_up() -> float:
@@ -25,6 +26,7 @@ def warm_up() -> float:
             search_map(request, rows=4, cols=5, start=small.symbols, time_limit=300.0)
         Repair(Request(alphabet=5, h=3, grid=grid), 4, 5, 0, 0.4).run(1_000)
     LineByLine(Request(alphabet=5, h=3), 4, 5, 0, 0.5).run(1_000)
+    ShiftedLetters(Request(alphabet=5, h=3), 4, 5).run(1_000)
     return time.monotonic() - start
 
 
