@@ -5,10 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sl_calibration.camera_calibration import CameraCalibration, rms, root_mean_square
 from sl_calibration.hand_eye import HandEye
 from sl_calibration.projector_calibration import ProcamCalibration
+from sl_calibration.projector_placement import place_projector
 from sl_common.calibration_files import (
     CAMERA_FILE,
     HAND_EYE_KEY,
@@ -20,6 +22,8 @@ from sl_common.calibration_files import (
     save_camera,
     save_pose,
 )
+
+Array = NDArray[np.float64]
 
 PAIR_FILE = "camera_from_projector.yaml"
 PAIR_KEY = "camera_from_projector"
@@ -40,8 +44,17 @@ def save_camera_calibration(path: str | os.PathLike[str], result: CameraCalibrat
     return path
 
 
-def save_procam_calibration(folder: str | os.PathLike[str], result: ProcamCalibration) -> list[Path]:
-    """Write camera.yaml, projector.yaml and camera_from_projector.yaml; returns their absolute paths."""
+def save_procam_calibration(
+    folder: str | os.PathLike[str],
+    result: ProcamCalibration,
+    *,
+    base_from_flange: Array | None = None,
+    hand_eye: PoseCalibration | None = None,
+) -> list[Path]:
+    """Write camera.yaml, projector.yaml and camera_from_projector.yaml; returns their absolute paths.
+
+    With the flange's pose (4, 4) [m] during all captures and the hand-eye transform, projector_pose.yaml too.
+    """
     folder = Path(folder).expanduser().resolve()
     samples = len(result.camera_residuals)
     rigid = {"rigid_fit_rms_mm": root_mean_square(result.rigid_fit)}
@@ -72,15 +85,13 @@ def save_procam_calibration(folder: str | os.PathLike[str], result: ProcamCalibr
         result.camera_from_projector, result.pose_covariance, provenance(samples=samples, residuals=rigid)
     )
     save_pose(folder / PAIR_FILE, PAIR_KEY, pose)
-    return [folder / name for name in (CAMERA_FILE, PROJECTOR_FILE, PAIR_FILE)]
-
-
-def save_placed_projector(folder: str | os.PathLike[str], pose: PoseCalibration, samples: int) -> Path:
-    """Write projector_pose.yaml; returns its absolute path."""
-    path = Path(folder).expanduser().resolve() / PROJECTOR_POSE_FILE
-    extra = provenance(samples=samples, residuals={}) | {"method": "grid: flange pose, hand-eye transform, pair"}
-    save_pose(path, PROJECTOR_POSE_KEY, replace(pose, extra=extra))
-    return path
+    files = [folder / name for name in (CAMERA_FILE, PROJECTOR_FILE, PAIR_FILE)]
+    if base_from_flange is not None and hand_eye is not None:
+        extra = provenance(samples=samples, residuals={}) | {"method": "grid: flange pose, hand-eye transform, pair"}
+        placed = replace(place_projector(base_from_flange, hand_eye, pose), extra=extra)
+        save_pose(folder / PROJECTOR_POSE_FILE, PROJECTOR_POSE_KEY, placed)
+        files.append(folder / PROJECTOR_POSE_FILE)
+    return files
 
 
 def save_hand_eye_calibration(path: str | os.PathLike[str], result: HandEye) -> Path:

@@ -22,8 +22,17 @@ from sl_calibration.procedures.procam import ProcamProcedure
 from sl_calibration.procedures.procedure import Setup, Shot, flange_poses
 from sl_calibration.sessions import Sample, Session, SessionPattern
 from sl_common import transforms
-from sl_common.calibration_files import load_camera, load_hand_eye
-from sl_common.errors import InvalidInputError
+from sl_common.calibration_files import (
+    HAND_EYE_FILE,
+    HAND_EYE_KEY,
+    PROJECTOR_POSE_FILE,
+    PoseCalibration,
+    load_camera,
+    load_hand_eye,
+    load_projector_pose,
+    save_pose,
+)
+from sl_common.errors import CalibrationFileError, InvalidInputError
 
 BOARD, CAMERA = board_scenes.BOARD, board_scenes.CAMERA
 SIZE = np.array([CAMERA.width, CAMERA.height])
@@ -151,6 +160,29 @@ def test_procam_projects_the_sequence_that_it_reads(tmp_path):
         procedure.compute([sample], setup)
     with pytest.raises(InvalidInputError, match="no pattern received"):
         procedure.frames(setup_in(tmp_path, pattern=None))
+
+
+def test_procam_places_the_projector_where_flange_and_hand_eye_are_known(tmp_path):
+    scene = board_scenes.pair_scene(3)
+    samples = [
+        Sample(f"capture_{k}", k, {"corners": seen, "projector_corners": lit, "size": SIZE})
+        for k, (seen, lit) in enumerate(zip(scene.camera_corners, scene.projector_corners, strict=True))
+    ]
+    flange = transforms.make(transforms.rotation_exp([0.5, 0.1, -0.3]), [0.4, 0.1, 0.6])
+    setup = setup_in(tmp_path)
+    procedure = ProcamProcedure(board=BOARD, base_from_flange=flange)
+    outcome = procedure.compute(samples, setup)
+    with pytest.raises(CalibrationFileError, match=HAND_EYE_FILE):
+        procedure.save(outcome, tmp_path / "out", setup)
+    assert not (tmp_path / "out").exists()
+    save_pose(tmp_path / HAND_EYE_FILE, HAND_EYE_KEY, PoseCalibration(HAND_EYE))
+    files = procedure.save(outcome, tmp_path / "out", setup)
+    assert tuple(path.name for path in files) == procedure.writes
+    assert files[-1].name == PROJECTOR_POSE_FILE
+    placed = load_projector_pose(tmp_path / "out")
+    truth = flange @ HAND_EYE @ transforms.inverse(board_scenes.PROJECTOR_FROM_CAMERA)
+    assert (np.abs(transforms.difference(placed.transform, truth)) < 4 * np.sqrt(np.diag(placed.covariance))).all()
+    assert PROJECTOR_POSE_FILE not in ProcamProcedure(board=BOARD).writes
 
 
 def test_colours_wants_a_sample_and_letters(tmp_path):

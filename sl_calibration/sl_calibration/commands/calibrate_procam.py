@@ -13,14 +13,13 @@ from sl_calibration.chessboard import Board, BoardNotFoundError, parse_size
 from sl_calibration.commands.calibrate_camera import parameter_line
 from sl_calibration.commands.shared import images_in, read_image
 from sl_calibration.gray_code import Capture, CaptureError, make_capture
-from sl_calibration.grid_files import save_placed_projector, save_procam_calibration
+from sl_calibration.grid_files import save_procam_calibration
 from sl_calibration.intrinsics import MODELS
 from sl_calibration.projector_calibration import ProcamCalibration, ProcamOptions, calibrate_procam
 from sl_calibration.projector_corners import board_in_capture
-from sl_calibration.projector_placement import place_projector
 from sl_calibration.virtual_screen import virtual_screen
 from sl_common import transforms
-from sl_common.calibration_files import PoseCalibration, load_hand_eye
+from sl_common.calibration_files import load_hand_eye
 from sl_common.cameras import CameraModel
 from sl_common.commands import make_parser, progress, run_command
 from sl_common.errors import InvalidInputError
@@ -99,12 +98,8 @@ def _run(args: argparse.Namespace) -> None:
     with name_odd_view(names):
         result = calibrate_procam(np.array(in_camera), np.array(in_projector), board, size, projector, options)
     print(summary(result, names))
-    files = save_procam_calibration(args.output, result)
-    if hand_eye is not None:
-        flange = transforms.from_quaternion(args.flange[:3], args.flange[3:])
-        pair = PoseCalibration(result.camera_from_projector, result.pose_covariance)
-        files.append(save_placed_projector(args.output, place_projector(flange, hand_eye, pair), len(names)))
-    for path in files:
+    flange = transforms.from_quaternion(args.flange[:3], args.flange[3:]) if args.flange else None
+    for path in save_procam_calibration(args.output, result, base_from_flange=flange, hand_eye=hand_eye):
         print(f"wrote {path}")
 
 

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from sl_calibration.motion_plan import Estimate, next_pose
 from sl_calibration.nodes import calibration_reports
 from sl_calibration.nodes import calibrator_parameters as parameters
-from sl_calibration.nodes.background import Background
+from sl_calibration.nodes.background import Background, end_process
 from sl_calibration.nodes.guided_motion import GuidedMotion
 from sl_calibration.nodes.messages import session_pattern
 from sl_calibration.nodes.robot import Robot
@@ -267,5 +267,5 @@ class Calibrator(Node):
 
 
 def main() -> int:
-    """Run the node."""
-    return run_node(Calibrator)
+    """Run the node until SIGINT or SIGTERM."""
+    return end_process(run_node(Calibrator))

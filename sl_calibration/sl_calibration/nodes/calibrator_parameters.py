@@ -19,6 +19,7 @@ from sl_calibration.procedures.procedure import Procedure
 from sl_calibration.procedures.self_motion import SelfMotion
 from sl_calibration.self_calibration.calibrate import SelfCalibrationOptions
 from sl_calibration.self_calibration.noise_model import RobotNoise
+from sl_common import transforms
 from sl_common.errors import InvalidInputError
 from sl_common.ros.parameters import declare
 
@@ -67,6 +68,15 @@ def _procedure(node: Node) -> Procedure:
         "Order of the code words of procedure procam: pattern_publisher's parameter of this name",
         choices=[a.value for a in Arrangement],
     )
+    flange = declare(
+        node,
+        "flange",
+        [0.0],
+        "Pose x y z [m] qx qy qz qw of the flange in the base while procedure procam takes its samples, for"
+        " projector_pose.yaml by the calibration folder's hand_eye.yaml; [0.0]: not known",
+    )
+    if len(flange) not in (1, 7):
+        raise InvalidInputError(f"parameter flange has {len(flange)} numbers, expected x y z qx qy qz qw")
     colours = ColoursProcedure(
         intensity_chart=declare(node, "intensity_chart", False, "Project the intensity chart too (colours)"),
         adapt_to_scene=declare(
@@ -105,7 +115,8 @@ def _procedure(node: Node) -> Procedure:
     if name == "camera":
         return CameraProcedure(board=board, options=camera)
     if name == "procam":
-        return ProcamProcedure(board=board, arrangement=Arrangement(arrangement))
+        pose = transforms.from_quaternion(flange[:3], flange[3:]) if len(flange) == 7 else None
+        return ProcamProcedure(board=board, arrangement=Arrangement(arrangement), base_from_flange=pose)
     return HandEyeProcedure(board=board)
 
 

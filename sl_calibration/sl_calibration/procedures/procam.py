@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pattern_gen.gray_code import Arrangement, Axis, bit_count
 from pattern_gen.projection import FrameRequest, Mode
@@ -19,7 +20,9 @@ from sl_calibration.procedures.procedure import Outcome, Setup, Shot, Source
 from sl_calibration.projector_calibration import MIN_VIEWS, ProcamOptions, calibrate_procam
 from sl_calibration.projector_corners import board_in_capture
 from sl_calibration.sessions import Sample
-from sl_common.calibration_files import CAMERA_FILE, PROJECTOR_FILE
+from sl_common.calibration_files import CAMERA_FILE, PROJECTOR_FILE, PROJECTOR_POSE_FILE, load_hand_eye
+
+Array = NDArray[np.float64]
 
 VIEWS_ADVISED = 5
 
@@ -32,11 +35,14 @@ class ProcamProcedure:
         board: The chessboard.
         arrangement: Order of the code words, the pattern publisher's.
         options: How to calibrate.
+        base_from_flange: (4, 4) pose of the flange that holds the camera during all captures [m]; with it the
+            projector's pose in the base is written too, by the calibration folder's hand-eye transform. None: unknown.
     """
 
     board: Board
     arrangement: Arrangement = Arrangement.REFLECTED
     options: ProcamOptions = field(default_factory=ProcamOptions)
+    base_from_flange: Array | None = None
 
     name = "procam"
     source = Source.IMAGES
@@ -44,7 +50,12 @@ class ProcamProcedure:
     uses_camera = False
     uses_pattern = True
     samples_needed = MIN_VIEWS
-    writes = (CAMERA_FILE, PROJECTOR_FILE, PAIR_FILE)
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """Files of the pair, and of the projector's pose where it can be told."""
+        pair = (CAMERA_FILE, PROJECTOR_FILE, PAIR_FILE)
+        return pair if self.base_from_flange is None else (*pair, PROJECTOR_POSE_FILE)
 
     def frames(self, setup: Setup) -> list[FrameRequest]:
         """Column bits, most significant first, each followed by its inverse, row bits likewise, white, black."""
@@ -106,5 +117,7 @@ class ProcamProcedure:
         return Outcome(result, message, per_view, rms(result.projector_residuals), left_out, projector_sigma=pose_sigma)
 
     def save(self, outcome: Outcome, folder: Path, setup: Setup) -> list[Path]:
-        """Write camera.yaml, projector.yaml and camera_from_projector.yaml."""
-        return save_procam_calibration(folder, outcome.result)
+        """Write camera.yaml, projector.yaml and camera_from_projector.yaml, and projector_pose.yaml."""
+        flange = self.base_from_flange
+        hand_eye = None if flange is None else load_hand_eye(setup.folder)
+        return save_procam_calibration(folder, outcome.result, base_from_flange=flange, hand_eye=hand_eye)
