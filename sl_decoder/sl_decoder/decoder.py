@@ -63,7 +63,7 @@ class Decoder:
                 "calibrate with this pattern"
             )
         self._calibrated = None if colours is None else colours.rgb[:, ::-1].copy()
-        self._projector = pattern.centers.astype(np.float32)
+        self._projector = pattern.centers.astype(np.float32).reshape(-1, 2)
         confidence = min(self.options.min_confidence, 1.0 - 1e-6)
         self.limit = max(float(np.log(max(confidence, 1e-6) / (1.0 - confidence))), LEAST_BELIEF)
 
@@ -134,22 +134,23 @@ class Decoder:
         if reading.n < len(book.lattice.window):
             return nothing(blobs=m, rejected=m, decode_time=time.perf_counter() - start)
         reason = explain(reading)
-        map_v, map_u = np.nonzero(reading.claim >= 0)
+        element = np.flatnonzero(reading.claim.ravel() >= 0)
+        map_v, map_u = np.divmod(element, book.cols)
         row, col = from_axial(map_u, map_v - book.v_offset, hexagonal=book.hexagonal)
         if book.hexagonal:
             order = np.lexsort((col, row))
-            map_v, map_u, row, col = map_v[order], map_u[order], row[order], col[order]
-        ids = reading.claim[map_v, map_u]
+            element, row, col = element[order], row[order], col[order]
+        ids = reading.claim.ravel().take(element)
         links = np.full((reading.n, book.lattice.directions), -1, np.int32)
         links[:m] = reading.links
-        belief = reading.belief[map_v, map_u]
+        belief = reading.belief.ravel().take(element)
         return Decoded(
             row=row.astype(np.int32),
             col=col.astype(np.int32),
-            camera=reading.centre[ids],
-            projector=self._projector[row, col],
+            camera=reading.centre.take(ids, axis=0),
+            projector=self._projector.take(row * book.cols + col, axis=0),
             confidence=(1.0 / (1.0 + np.exp(-belief))).astype(np.float32),
-            corrected=(reading.letter[ids] != book.letters[map_v, map_u]).astype(np.uint8),
+            corrected=(reading.letter.take(ids) != book.letters.ravel().take(element)).astype(np.uint8),
             track_id=np.full(len(ids), -1, np.int32),
             blobs=m,
             labelled=int((reading.at >= 0).sum()),

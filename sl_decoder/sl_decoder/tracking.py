@@ -102,23 +102,34 @@ class Tracker:
         return replace(decoded, track_id=ids[map_v, map_u], decode_time=time.perf_counter() - start)
 
     def _verify(self, bgr: NDArray[np.uint8], gap: float) -> Interpretation | None:
-        """Decode around the prediction; None when too little of it holds."""
+        """Decode around the prediction; None when too little of it holds.
+
+        What moved on is looked for first, then what stopped: a camera that turns round is nearer to where it was.
+        """
+        smooth = smoothed(bgr)
+        rows = np.flatnonzero(self._claim.ravel() >= 0)
+        if len(rows) < self.options.least_dots:
+            return None
+        last = self._place.take(self._claim.ravel().take(rows), axis=0)
+        motion = self._velocity.reshape(-1, 2).take(rows, axis=0) * np.float32(gap)
+        reading = self._follow(smooth, rows, last + motion)
+        if reading is None and motion.any():
+            reading = self._follow(smooth, rows, last)
+        return None if reading is None else self._judged(reading, smooth, rows)
+
+    def _follow(
+        self, smooth: NDArray[np.uint8], rows: NDArray[np.intp], place: NDArray[np.float32]
+    ) -> Interpretation | None:
+        """The last image's dots, of the map's elements `rows` (N,), measured around `place` (N, 2) [px]; None when too
+        few are found."""
         decoder, model = self._decoder, self._model
         assert model is not None
         book = decoder.codebook
         lattice = book.lattice
-        held = self._claim >= 0
-        rows = np.flatnonzero(held.ravel())
         before = len(rows)
-        if before < self.options.least_dots:
-            return None
         index = np.full(self._claim.shape, -1, np.int32)
         index.ravel()[rows] = np.arange(before, dtype=np.int32)
-        order = self._claim.ravel()[rows]
-        velocity = self._velocity.reshape(-1, 2)[rows]
-        place = (self._place[order] + velocity * np.float32(gap)).astype(np.float32)
-        shape = self._footprint.reshape(-1, 3)[rows]
-        smooth = smoothed(bgr)
+        shape = self._footprint.reshape(-1, 3).take(rows, axis=0)
         reading = Interpretation(book, decoder.alphabet, _blank(before))
         reading.model = model
         n = follow(
@@ -144,10 +155,19 @@ class Tracker:
         )
         if n < self.options.least_share * before:
             return None
-        area = np.zeros(self._claim.shape, np.int32)
-        area.ravel()[rows] = self._area[order]
-        reading.area[:n] = area[reading.holder_v[:n], reading.holder_u[:n]]
         reading.set_tracked(n)
+        return reading
+
+    def _judged(
+        self, reading: Interpretation, smooth: NDArray[np.uint8], rows: NDArray[np.intp]
+    ) -> Interpretation | None:
+        """Weigh and judge what was followed, and add what came into view; None when too little of it holds."""
+        decoder, model, n = self._decoder, reading.model, reading.n
+        book = decoder.codebook
+        lattice = book.lattice
+        area = np.zeros(self._claim.shape, np.int32)
+        area.ravel()[rows] = self._area.take(self._claim.ravel().take(rows))
+        reading.area[:n] = area[reading.holder_v[:n], reading.holder_u[:n]]
         weigh_on_map(
             reading.claim,
             n,
@@ -162,7 +182,7 @@ class Tracker:
         )
         reading.judge(decoder.limit)
         kept = int((reading.claim >= 0).sum())
-        if kept < self.options.least_share * before or kept < self.options.least_dots:
+        if kept < self.options.least_share * len(rows) or kept < self.options.least_dots:
             return None
         reading.recover(smooth, decoder.limit, self._offset)
         reading.finish(decoder.limit)
@@ -204,14 +224,16 @@ class Tracker:
 
     def _keep(self, reading: Interpretation, size: tuple[int, ...], stamp: int, gap: float) -> None:
         """Remember the places for the next image, and the velocities where a dot was seen twice."""
-        both = (reading.claim >= 0) & (self._claim >= 0)
+        now, last = reading.claim.ravel(), self._claim.ravel()
         velocity = np.zeros_like(self._velocity)
-        if gap > 0 and both.any():
-            moved = (reading.centre[reading.claim[both]] - self._place[self._claim[both]]) / np.float32(gap)
-            velocity[both] = moved
-            fresh = (reading.claim >= 0) & ~both
-            if fresh.any():
-                velocity[fresh] = np.median(moved, axis=0)
+        both = np.flatnonzero((now >= 0) & (last >= 0))
+        if gap > 0 and len(both):
+            moved = reading.centre.take(now.take(both), axis=0) - self._place.take(last.take(both), axis=0)
+            moved /= np.float32(gap)
+            velocity.reshape(-1, 2)[both] = moved
+            fresh = np.flatnonzero((now >= 0) & (last < 0))
+            if len(fresh):
+                velocity.reshape(-1, 2)[fresh] = np.median(moved, axis=0)
         known = self._footprint[..., 0] > 0
         new = (reading.claim >= 0) & ~known
         if new.any() and known.any():
