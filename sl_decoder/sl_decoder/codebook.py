@@ -56,6 +56,24 @@ def window_code(letters: np.ndarray, alphabet: int) -> int:
 
 
 @compiled
+def code_at(cell, centre, width, letter, window, alphabet, member):
+    """Code (int64) of the letters (N,) that were read in the window around a cell of a lattice, -1 where a dot lacks.
+
+    cell, width: see `placement.lay_out`; centre: the cell; writes the window's dots: member (W,) int32.
+    """
+    code = np.int64(0)
+    place = np.int64(1)
+    for p in range(len(window)):
+        dot = cell[centre + window[p, 1] * width + window[p, 0]]
+        if dot < 0:
+            return np.int64(-1)
+        member[p] = dot
+        code += letter[dot] * place
+        place *= alphabet
+    return code
+
+
+@compiled
 def find_code(codes, code):
     """Index of the first entry of the sorted `codes` that equals `code`, or -1."""
     if len(codes) == 0:

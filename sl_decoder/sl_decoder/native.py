@@ -17,12 +17,9 @@ import tempfile
 import warnings
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from sl_decoder.compiled import Kernel
 
 PACKAGE = Path(__file__).parent
 FOLDER = PACKAGE / "__pycache__"
@@ -117,8 +114,8 @@ def find(name: str) -> tuple[Any, list[Any]]:
     return getattr(library, name, None), takes.get(name, [])
 
 
-def build(kernels: list[Kernel]) -> Path:
-    """Build the library of all kernels whose calls were recorded; returns its path.
+def build(kernels: list[Any]) -> Path:
+    """Build the library of all kernels (`compiled.Kernel`) whose calls were recorded; returns its path.
 
     Raises what numba and setuptools raise where this machine has no C++ compiler for the glue, or cannot write.
     """
@@ -148,7 +145,7 @@ def build(kernels: list[Kernel]) -> Path:
     return path()
 
 
-def _entry(kernel: Kernel) -> Any:
+def _entry(kernel: Any) -> Any:
     """A function of as many arguments that only calls the kernel, which keeps its own options of compilation."""
     code = kernel.function.__code__
     names = ", ".join(code.co_varnames[: code.co_argcount])

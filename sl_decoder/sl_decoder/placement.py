@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sl_decoder.codebook import find_code
+from sl_decoder.codebook import code_at, find_code
 from sl_decoder.compiled import compiled
 
 COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
@@ -85,24 +85,15 @@ def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values,
     code (N,) int64 of the dot's window, -1 where it is not whole.
     """
     n = len(at)
-    size = len(window)
     votes = np.empty((2 * n + 16, 4), np.int32)
     code_of = np.full(n, -1, np.int64)
+    member = np.empty(len(window), np.int32)
     m = 0
     for i in range(n):
         if at[i] < 0:
             continue
-        code = np.int64(0)
-        place = np.int64(1)
-        whole = True
-        for p in range(size):
-            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
-            if j < 0:
-                whole = False
-                break
-            code += letter[j] * place
-            place *= alphabet
-        if not whole:
+        code = code_at(cell, at[i], width[i], letter, window, alphabet, member)
+        if code < 0:
             continue
         code_of[i] = code
         f = find_code(codes, code)
@@ -115,48 +106,6 @@ def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values,
             m += 1
             f += 1
     return votes[:m], code_of
-
-
-@compiled
-def corrected_votes(cell, at, width, u, v, letter, log_p, window, alphabet, codes, values, turn, todo):
-    """Votes of the windows of the dots `todo` (N,) bool with one letter replaced by each other one."""
-    n = len(at)
-    size = len(window)
-    votes = np.empty((4 * n + 64, 4), np.int32)
-    m = 0
-    for i in range(n):
-        if at[i] < 0 or not todo[i]:
-            continue
-        code = np.int64(0)
-        place = np.int64(1)
-        whole = True
-        for p in range(size):
-            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
-            if j < 0:
-                whole = False
-                break
-            code += letter[j] * place
-            place *= alphabet
-        if not whole:
-            continue
-        place = np.int64(1)
-        for p in range(size):
-            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
-            for a in range(alphabet):
-                if a == letter[j]:
-                    continue
-                other = code + (a - letter[j]) * place
-                f = find_code(codes, other)
-                while 0 <= f < len(codes) and codes[f] == other and m < len(votes):
-                    k = values[f, 2]
-                    votes[m, 0] = i
-                    votes[m, 1] = k
-                    votes[m, 2] = values[f, 0] - (turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i])
-                    votes[m, 3] = values[f, 1] - (turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i])
-                    m += 1
-                    f += 1
-            place *= alphabet
-    return votes[:m]
 
 
 @compiled

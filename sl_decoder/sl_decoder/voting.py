@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sl_decoder.codebook import find_code
+from sl_decoder.codebook import code_at, find_code
 from sl_decoder.compiled import compiled
 
 
@@ -28,22 +28,12 @@ def vote(cell, at, width, letter, window, alphabet, codes):
     n = len(at)
     size = len(window)
     score = np.zeros((n, alphabet), np.int32)
-    member = np.empty(size, np.int64)
+    member = np.empty(size, np.int32)
     for i in range(n):
         if at[i] < 0:
             continue
-        code = np.int64(0)
-        place = np.int64(1)
-        whole = True
-        for p in range(size):
-            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
-            if j < 0:
-                whole = False
-                break
-            member[p] = j
-            code += letter[j] * place
-            place *= alphabet
-        if not whole:
+        code = code_at(cell, at[i], width[i], letter, window, alphabet, member)
+        if code < 0:
             continue
         if find_code(codes, code) >= 0:
             for p in range(size):
