@@ -32,6 +32,8 @@ _BETTER = 0.99
 _FEW_VIEWS_INFLATION = 3.0
 _ODD_SHARE = 0.35
 _ODD_LEAST = 1.0
+_UNDETERMINED = 0.2
+"""Standard deviation of the focal length, as a share of it, from which on it is not determined at all."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,12 @@ def calibrate_camera(
     result = fits[chosen][1]
     parametrisation = Parametrisation(chosen, width, height)
     covariance = honest_covariance(result, tests[chosen][1])
+    summary = parametrisation.summary(result.state.shared, np.sqrt(np.diag(covariance)))
+    _require_determined(summary)
     return CameraCalibration(
         parametrisation.camera(result.state.shared),
         parametrisation,
-        parametrisation.summary(result.state.shared, np.sqrt(np.diag(covariance))),
+        summary,
         covariance,
         result.state.poses,
         result.residuals,
@@ -144,6 +148,34 @@ def calibrate_camera(
         {name: (rms(fits[name][1].residuals), scores[name]) for name in names},
         int(np.isfinite(corners).all(-1).sum() - np.isfinite(kept).all(-1).sum()),
     )
+
+
+def same_views(corners: Array, least: float = 1.0) -> dict[int, int]:
+    """Return the views that show the board where an earlier one does: {view: earlier view}.
+
+    They tell nothing new, but would count as if they did: an image given twice has the same errors twice.
+
+    Args:
+        corners: (V, N, 2) [px].
+        least: RMS distance of the corners from which on views are different [px].
+    """
+    twins: dict[int, int] = {}
+    for k, view in enumerate(corners):
+        for earlier in range(k):
+            if earlier not in twins and rms(view - corners[earlier]) < least:
+                twins[k] = earlier
+                break
+    return twins
+
+
+def _require_determined(summary: dict[str, dict[str, float]]) -> None:
+    """Raise BundleError where the views leave the focal length open."""
+    value, sigma = summary["fx"]["value"], summary["fx"]["sigma"]
+    if not sigma < _UNDETERMINED * value:
+        raise BundleError(
+            f"the views do not determine the camera: focal length {value:.0f} +- {1.96 * sigma:.0f} px (95 %);"
+            " tilt the board by 30 deg and more, about both of its axes, differently in each view"
+        )
 
 
 @contextmanager

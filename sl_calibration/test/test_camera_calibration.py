@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from sl_calibration.board_bundle import OddViewError
-from sl_calibration.camera_calibration import CameraOptions, calibrate_camera, rms
+from sl_calibration.board_bundle import BundleError, OddViewError
+from sl_calibration.camera_calibration import CameraOptions, calibrate_camera, rms, same_views
 from sl_calibration.commands.calibrate_camera import main
+from sl_common import transforms
 from sl_common.calibration_files import load_camera
 from sl_common.cameras import CameraModel
 from sl_common.errors import InvalidInputError
@@ -81,6 +82,24 @@ def test_too_few_views():
         calibrate_camera(views(CAMERAS["none"], number=2), board_scenes.BOARD, 800, 600)
 
 
+def test_views_that_leave_the_focal_length_open_are_refused():
+    level = np.array(
+        [transforms.make(np.eye(3), (x, y, 0.9)) for x, y in ((-0.2, -0.1), (-0.1, -0.15), (-0.25, -0.05))]
+    )
+    corners = board_scenes.corners_of(CAMERAS["none"], level, noise=0.1)
+    with pytest.raises(BundleError, match=r"do not determine the camera: focal length .*; tilt the board"):
+        calibrate_camera(corners, board_scenes.BOARD, 800, 600, CameraOptions("none"))
+
+
+def test_the_same_view_again_is_told_from_a_different_one():
+    different = views(CAMERAS["none"], number=4)
+    corners = np.concatenate([different, different[[2, 0]] + 0.2, different[:1]])
+    assert same_views(corners) == {4: 2, 5: 0, 6: 0}
+    corners[2, :40] = np.nan  # partly seen, at the same place
+    assert same_views(corners) == {4: 2, 5: 0, 6: 0}
+    assert same_views(different) == {}
+
+
 def test_a_view_of_another_camera_is_named():
     corners = views(CAMERAS["none"], number=6)
     corners[4] = (corners[4] - (395, 305)) * (1.0, 1.12) + (395, 305) + 0.02 * (corners[4] - 300)[:, ::-1] ** 2 / 100
@@ -119,6 +138,7 @@ def test_command_writes_the_file_and_says_what_it_found(tmp_path, capsys):
         ({"--board": "8x6"}, "wrong board size: --board 8x6 is in 0 of 3 images, but 3 show 9x7"),
         ({"--square": "40"}, "mixed units"),
         ({"few": "2"}, "too few views: 2"),
+        ({"same": "2"}, "too few views: 1"),
         ({"size": "swap"}, "must come from one camera"),
         ({"missing": "1"}, "no such file"),
     ],
@@ -128,6 +148,8 @@ def test_command_refuses_and_writes_nothing(tmp_path, capsys, change, message):
     paths = write_photographs(tmp_path, 3)
     if "few" in change:
         paths = paths[:2]
+    if "same" in change:
+        paths = [paths[0]] * 3
     if "missing" in change:
         paths[1] = str(tmp_path / "none.png")
     if "size" in change:

@@ -15,6 +15,7 @@ from sl_calibration.camera_calibration import (
     name_odd_view,
     rms,
     root_mean_square,
+    same_views,
 )
 from sl_calibration.chessboard import Board, BoardNotFoundError, detect_corners, parse_size
 from sl_calibration.commands.shared import read_image
@@ -52,10 +53,14 @@ def _run(args: argparse.Namespace) -> None:
     names, corners, (width, height), missing = find_boards(args.images, board)
     for name, reason in missing:
         print(f"{name}: {reason}; skipped", file=sys.stderr)
+    seen = np.array(corners).reshape(len(corners), -1, 2)
+    twins = same_views(seen)
+    for k, earlier in twins.items():
+        print(f"{names[k]}: shows the board where {names[earlier]} does; skipped", file=sys.stderr)
+    different = [k for k in range(len(names)) if k not in twins]
+    names, seen = [names[k] for k in different], seen[different]
     with name_odd_view(names):
-        result = calibrate_camera(
-            np.array(corners).reshape(len(corners), -1, 2), board, width, height, CameraOptions(args.model)
-        )
+        result = calibrate_camera(seen, board, width, height, CameraOptions(args.model))
     print(summary(result, names, args.model))
     print(f"wrote {save_camera_calibration(args.output, result, name=args.name)}")
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pattern_gen.projection import FrameRequest
 from sl_calibration.camera_calibration import (
@@ -14,6 +15,7 @@ from sl_calibration.camera_calibration import (
     name_odd_view,
     rms,
     root_mean_square,
+    same_views,
 )
 from sl_calibration.chessboard import Board, detect_corners
 from sl_calibration.grid_files import save_camera_calibration
@@ -64,15 +66,16 @@ class CameraProcedure:
     def coverage(self, samples: Sequence[Sample], setup: Setup, estimate: Estimate | None) -> Coverage:
         """Share of the image, tilts and distances of the board."""
         corners = [sample.arrays["corners"] for sample in samples]
-        size = common_size(samples) if samples else (1, 1)
-        return board_coverage(corners, self.board, size, needed=MIN_VIEWS, advised=VIEWS_ADVISED)
+        return board_coverage(corners, self.board, common_size(samples), needed=MIN_VIEWS, advised=VIEWS_ADVISED)
 
     def compute(self, samples: Sequence[Sample], setup: Setup) -> Outcome:
         """Calibrate the camera."""
-        corners = np.array([s.arrays["corners"] for s in samples]).reshape(len(samples), len(self.board.points), 2)
-        names = [s.name for s in samples]
+        corners = stacked(samples, "corners")
+        twins = same_views(corners)
+        different = [k for k in range(len(samples)) if k not in twins]
+        names, corners = [samples[k].name for k in different], corners[different]
         with name_odd_view(names):
-            size = common_size(samples) if samples else (1, 1)
+            size = common_size(samples)
             result = calibrate_camera(corners, self.board, *size, self.options)
         training, left_out = rms(result.residuals), root_mean_square(result.left_out)
         matrix, sigma = result.camera.matrix, result.parameters
@@ -82,6 +85,8 @@ class CameraProcedure:
             f" cx {matrix[0, 2]:.2f} +- {1.96 * sigma['cx']['sigma']:.2f},"
             f" cy {matrix[1, 2]:.2f} +- {1.96 * sigma['cy']['sigma']:.2f} px (95 %)"
         )
+        if twins:
+            message += f"; {len(twins)} samples show the board where an earlier one does and are left out"
         per_view = dict(zip(names, result.per_view.tolist(), strict=True))
         return Outcome(result, message, per_view, training, left_out)
 
@@ -91,9 +96,14 @@ class CameraProcedure:
 
 
 def common_size(samples: Sequence[Sample]) -> tuple[int, int]:
-    """Return the images' (width, height) [px]; raises InvalidInputError where they differ."""
+    """Return the images' (width, height) [px]; raises InvalidInputError where they differ. (1, 1) for none."""
     sizes = {(int(s.arrays["size"][0]), int(s.arrays["size"][1])) for s in samples}
     if len(sizes) > 1:
         listed = " and ".join(f"{w}x{h}" for w, h in sorted(sizes))
         raise InvalidInputError(f"images of {listed}: all must come from one camera at one resolution")
-    return sizes.pop()
+    return sizes.pop() if sizes else (1, 1)
+
+
+def stacked(samples: Sequence[Sample], name: str) -> NDArray[np.float64]:
+    """Return an array (N, 2) that all samples have, such as the board's corners, as (V, N, 2)."""
+    return np.array([s.arrays[name] for s in samples], dtype=np.float64) if samples else np.zeros((0, 0, 2))

@@ -80,8 +80,9 @@ class HandEyeProcedure:
     def coverage(self, samples: Sequence[Sample], setup: Setup, estimate: Estimate | None) -> Coverage:
         """Share of the image, axes of rotation of the flange, spread of distances."""
         corners = [sample.arrays["corners"] for sample in samples]
-        size = common_size(samples) if samples else (1, 1)
-        seen = board_coverage(corners, self.board, size, needed=self.samples_needed, advised=POSES_ADVISED)
+        seen = board_coverage(
+            corners, self.board, common_size(samples), needed=self.samples_needed, advised=POSES_ADVISED
+        )
         if not samples:
             return seen
         spread = motion_spread(np.stack(flange_poses(samples)))

@@ -15,7 +15,7 @@ from sl_calibration.gray_code import make_capture
 from sl_calibration.grid_files import PAIR_FILE, save_procam_calibration
 from sl_calibration.motion_plan import Coverage, Estimate
 from sl_calibration.procedures.board_views import board_coverage
-from sl_calibration.procedures.camera import common_size
+from sl_calibration.procedures.camera import common_size, stacked
 from sl_calibration.procedures.procedure import Outcome, Setup, Shot, Source
 from sl_calibration.projector_calibration import MIN_VIEWS, ProcamOptions, calibrate_procam
 from sl_calibration.projector_corners import board_in_capture
@@ -88,21 +88,15 @@ class ProcamProcedure:
     def coverage(self, samples: Sequence[Sample], setup: Setup, estimate: Estimate | None) -> Coverage:
         """Share of the camera's image, tilts and distances of the board."""
         corners = [sample.arrays["corners"] for sample in samples]
-        size = common_size(samples) if samples else (1, 1)
-        return board_coverage(corners, self.board, size, needed=MIN_VIEWS, advised=VIEWS_ADVISED)
+        return board_coverage(corners, self.board, common_size(samples), needed=MIN_VIEWS, advised=VIEWS_ADVISED)
 
     def compute(self, samples: Sequence[Sample], setup: Setup) -> Outcome:
         """Calibrate camera and projector."""
         names = [s.name for s in samples]
-        in_camera = np.array([s.arrays["corners"] for s in samples]).reshape(len(samples), len(self.board.points), 2)
-        in_projector = np.array([s.arrays["projector_corners"] for s in samples]).reshape(
-            len(samples), len(self.board.points), 2
-        )
-        size = common_size(samples) if samples else (1, 1)
+        in_camera, in_projector = (stacked(samples, key) for key in ("corners", "projector_corners"))
+        size, projector = common_size(samples), setup.known_pattern().size
         with name_odd_view(names):
-            result = calibrate_procam(
-                in_camera, in_projector, self.board, size, setup.known_pattern().size, self.options
-            )
+            result = calibrate_procam(in_camera, in_projector, self.board, size, projector, self.options)
         left_out = float(np.nanmean(result.left_out_projector)) if len(names) > MIN_VIEWS else float("nan")
         matrix, sigma = result.projector.matrix, result.projector_parameters
         message = (
