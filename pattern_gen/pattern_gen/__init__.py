@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pattern_gen.pattern import Grid, Letter, Pattern, default_pattern
+from pattern_gen.catalogue import default_pattern
+from pattern_gen.pattern import Grid, Letter, Pattern
 
 if TYPE_CHECKING:
     from pattern_gen.generation import enlarge, generate

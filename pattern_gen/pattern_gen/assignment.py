@@ -39,25 +39,25 @@ def separations(symbols: NDArray[np.uint8], request: Request) -> NDArray[np.floa
     Returns:
         (a, a) symmetric counts with a zero diagonal. Large maps: counted from an even choice of windows.
     """
-    codes, _ = window_codes(symbols, request.grid, request.window, request.invariant)
-    turns, windows, _ = codes.shape
-    flat = codes.reshape(turns * windows, -1)
-    cells = np.ascontiguousarray(flat.T)
-    chosen = np.unique(np.linspace(0, windows - 1, min(windows, max(1, _COMPARED // len(flat)))).astype(np.int64))
+    codes = window_codes(symbols, request.grid, request.window, request.invariant)
+    windows = codes.shape[2]
+    cells = codes.reshape(len(codes), -1)
+    total = cells.shape[1]
+    chosen = np.unique(np.linspace(0, windows - 1, min(windows, max(1, _COMPARED // total))).astype(np.int64))
     counts = np.zeros((request.alphabet, request.alphabet))
-    least = flat.shape[1]
+    least = len(cells)
     for window in chosen:
-        gaps = np.zeros(len(flat), np.uint8)
+        gaps = np.zeros(total, np.uint8)
         for cell in cells:
             gaps += cell != cell[window]
         gaps[window::windows] = 255  # the window itself in any orientation
         if gaps.min() < least:
             least = int(gaps.min())
             counts[:] = 0.0
-        near = flat[gaps == least]
-        if len(near):
-            differ = np.nonzero(near != flat[window])
-            np.add.at(counts, (np.broadcast_to(flat[window], near.shape)[differ], near[differ]), 1.0)
+        near = cells[:, gaps == least]
+        here = np.broadcast_to(cells[:, window, None], near.shape)
+        differ = near != here
+        np.add.at(counts, (here[differ], near[differ]), 1.0)
     return counts + counts.T
 
 

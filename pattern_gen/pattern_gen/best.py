@@ -197,7 +197,10 @@ def searchers(request: Request, rows: int, cols: int) -> list[Callable[[], Searc
     if request.h >= 2 and request.band is None:
         square = request.grid is Grid.SQUARE
         if square and windows <= MAX_SHIFTED_WINDOWS:
-            kinds.append(lambda: ShiftedLetters(request, rows, cols))
+            for downwards in (False, True):
+                kinds.append(
+                    lambda downwards=downwards: ShiftedLetters(request, rows, cols, downwards=downwards)  # type: ignore[misc]
+                )
         if square and request.window == 3 and request.alphabet <= MAX_LINE_ALPHABET:
             for turn, falling in enumerate(FALLING_WEIGHTS):
                 kinds.append(

@@ -84,7 +84,7 @@ def growth_to(window: int, rows: int, cols: int, start: tuple[int, int] | None =
 def growth_order(geometry: WindowGeometry, sizes: list[tuple[int, int]]) -> FillOrder:
     """The paper's order: the first window row by row, then whole columns (downwards) and whole rows (rightwards)."""
     rows, cols = sizes[-1]
-    rank = np.empty((rows, cols), dtype=np.int64)
+    rank = np.empty((rows, cols), dtype=np.int32)
     start_rows, start_cols = sizes[0]
     rank[:start_rows, :start_cols] = np.arange(start_rows * start_cols).reshape(start_rows, start_cols)
     filled = start_rows * start_cols
@@ -96,13 +96,12 @@ def growth_order(geometry: WindowGeometry, sizes: list[tuple[int, int]]) -> Fill
             rank[old_rows, :new_cols] = filled + np.arange(new_cols)
             filled += new_cols
     flat = rank.reshape(-1)
-    window_cells = geometry.cells(rows, cols)
-    places = np.empty(len(window_cells), np.int32)
-    steps = np.empty(len(window_cells), np.int64)
-    for begin in range(0, len(window_cells), _CHUNK):
-        ranks = flat[window_cells[begin : begin + _CHUNK]]
-        places[begin : begin + _CHUNK] = ranks.argmax(axis=1)
-        steps[begin : begin + _CHUNK] = ranks.max(axis=1)
+    count = (rows - 2 * geometry.margin) * (cols - 2 * geometry.margin)
+    places, steps = np.empty(count, np.int32), np.empty(count, np.int32)
+    for begin in range(0, count, _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        ranks = flat[geometry.cells(rows, cols, part)]
+        places[part], steps[part] = ranks.argmax(axis=1), ranks.max(axis=1)
     by_step = np.argsort(steps, kind="stable")
     first = np.searchsorted(steps[by_step], np.arange(rows * cols + 1)).astype(np.int32)
     whole = np.zeros(rows * cols, np.uint8)

@@ -12,6 +12,7 @@ import zipfile
 from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +29,19 @@ def cache_folder() -> Path:
     return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "pattern_gen" / "maps"
 
 
+class Effort(TypedDict, total=False):
+    """What search.search_map is asked for besides the request."""
+
+    rows: int | None
+    cols: int | None
+    aspect: float
+    method: str
+    time_limit: float
+    start: NDArray[np.uint8] | None
+
+
 def cached_search(
-    request: Request,
-    *,
-    rows: int | None = None,
-    cols: int | None = None,
-    aspect: float = 4 / 3,
-    method: str = "best",
-    time_limit: float = 10.0,
-    start: NDArray[np.uint8] | None = None,
-    cache: bool = True,
-    report: Report | None = None,
+    request: Request, *, cache: bool = True, report: Report | None = None, **effort: Unpack[Effort]
 ) -> Found:
     """As search.search_map, but a map that was found before is read instead.
 
@@ -50,29 +53,32 @@ def cached_search(
     Raises:
         SearchError: see search_map. A folder that cannot be read or written costs the search, nothing else.
     """
-    from pattern_gen.search import search_map
+    path = _path(request, effort) if cache else None
+    found = None if path is None else _read(path, request.alphabet)
+    if found is not None:
+        return found
+    from pattern_gen.search import search_map  # loads the compiler: only where it is needed
 
-    path = None
-    if cache:
-        options = {name: value.value if isinstance(value, Enum) else value for name, value in asdict(request).items()}
-        options |= {"version": SEARCH_VERSION, "method": method}
-        options |= {"aspect": aspect, "time_limit": time_limit} if rows is None else {"rows": rows, "cols": cols}
-        if start is not None:
-            options["start"] = [start.shape, hashlib.sha256(np.ascontiguousarray(start).tobytes()).hexdigest()]
-        key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()
-        path = cache_folder() / f"{key[:32]}.npz"
-        found = _read(path, request.alphabet)
-        if found is not None:
-            return found
-    found = search_map(
-        request, rows=rows, cols=cols, aspect=aspect, method=method, time_limit=time_limit, start=start, report=report
-    )
+    found = search_map(request, report=report, **effort)
     if path is not None and not found.interrupted:
         try:
             _write(path, found)
         except OSError:
             pass  # a cache that cannot be written is no reason to lose the map
     return found
+
+
+def _path(request: Request, effort: Effort) -> Path:
+    """Where a map is kept: named by a hash of everything that decides what is found."""
+    options = {name: value.value if isinstance(value, Enum) else value for name, value in asdict(request).items()}
+    options |= {"version": SEARCH_VERSION, "method": effort.get("method", "best")}
+    decisive = ("aspect", "time_limit") if effort.get("rows") is None else ("rows", "cols")
+    options |= {name: effort.get(name) for name in decisive}
+    start = effort.get("start")
+    if start is not None:
+        options["start"] = [start.shape, hashlib.sha256(np.ascontiguousarray(start).tobytes()).hexdigest()]
+    key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()
+    return cache_folder() / f"{key[:32]}.npz"
 
 
 def _read(path: Path, alphabet: int) -> Found | None:

@@ -10,10 +10,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from pattern_gen.catalogue import default_pattern
 from pattern_gen.colours_file import with_calibrated_colours
 from pattern_gen.errors import PatternError, ProjectionError
 from pattern_gen.gray_code import Arrangement, Axis
-from pattern_gen.pattern import Pattern, default_pattern
+from pattern_gen.pattern import Pattern
 from pattern_gen.projection import FrameRequest, Mode, SpotLimits, adapted_diameter, render_frame
 from pattern_gen.ros_conversions import pattern_to_message
 from sl_common.calibration_files import PROJECTOR_FILE, load_camera

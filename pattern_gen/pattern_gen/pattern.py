@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pattern_gen.errors import PatternError
+from pattern_gen.rendering import render_spots
+from pattern_gen.shapes import SHAPES
 
 MAX_ALPHABET = 36  # one base-36 digit a letter in the pattern file
 HEXAGONAL_COLUMN_PITCH = np.sqrt(3.0) / 2.0  # column distance over row distance, paper section II.D
@@ -45,8 +47,6 @@ class Letter:
     shape: str = "disc"
 
     def __post_init__(self) -> None:
-        from pattern_gen.shapes import SHAPES
-
         if len(self.rgb) != 3 or any(int(value) != value or not 0 <= value <= 255 for value in self.rgb):
             raise PatternError(f"rgb={list(self.rgb)} must be three integers from 0 to 255")
         if max(self.rgb) == 0:
@@ -161,14 +161,12 @@ class Pattern:
     @cached_property
     def centers(self) -> NDArray[np.float64]:
         """(rows, cols, 2) float64: spot centres (u, v) in projector [px]; read-only."""
-        row, col = np.meshgrid(np.arange(self.rows), np.arange(self.cols), indexing="ij")
+        row, col = np.arange(self.rows)[:, None], np.arange(self.cols)
         u0, v0 = self.origin
-        if self.grid is Grid.SQUARE:
-            u, v = u0 + self.pitch * col, v0 + self.pitch * row
-        else:
-            u = u0 + self.pitch * HEXAGONAL_COLUMN_PITCH * col
-            v = v0 + self.pitch * (row + 0.5 * (col % 2))
-        centers = np.stack([u, v], axis=-1).astype(np.float64)
+        square = self.grid is Grid.SQUARE
+        centers = np.empty((self.rows, self.cols, 2))
+        centers[..., 0] = u0 + (self.pitch if square else self.pitch * HEXAGONAL_COLUMN_PITCH) * col
+        centers[..., 1] = v0 + self.pitch * (row if square else row + 0.5 * (col % 2))
         centers.setflags(write=False)
         return centers
 
@@ -186,9 +184,18 @@ class Pattern:
         Args:
             spot_diameter: another diameter in projector [px]; None: the pattern's own.
         """
-        from pattern_gen.rendering import render_pattern
-
-        return render_pattern(self, spot_diameter)
+        diameter = self.spot_diameter if spot_diameter is None else float(spot_diameter)
+        if not (np.isfinite(diameter) and diameter > 0):
+            raise PatternError(f"spot_diameter={diameter} must be a positive number of pixels")
+        symbols = self.symbols.reshape(-1)
+        return render_spots(
+            self.projector_width,
+            self.projector_height,
+            self.centers.reshape(-1, 2),
+            np.array([letter.rgb for letter in self.letters], dtype=np.float64)[symbols],
+            np.array([letter.shape for letter in self.letters])[symbols],
+            diameter,
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Pattern:
@@ -247,10 +254,3 @@ def fit_to_projector(
         ),
         spot_diameter=float(np.round(diameter, 0 if diameter >= 6 else 4)),
     )
-
-
-def default_pattern() -> Pattern:
-    """The shipped pattern of the paper's experiment: 44x58 spots, three colours in two intensities, h = 3, 1024x768."""
-    from pattern_gen.catalogue import load_ready_pattern
-
-    return load_ready_pattern("square_44x58_a6_h3")

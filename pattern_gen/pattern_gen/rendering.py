@@ -9,16 +9,11 @@ A shape is cut into thin horizontal strips about its own centre; the integrals o
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pattern_gen.errors import PatternError
 from pattern_gen.shapes import SHAPES
-
-if TYPE_CHECKING:
-    from pattern_gen.pattern import Pattern
 
 STRIPS = 48  # per smooth part of a shape
 BATCH_VALUES = 4_000_000  # intermediate values at a time: bounds the memory for large maps
@@ -100,19 +95,3 @@ def render_spots(
                 np.add.at(canvas, (rows, cols), values.astype(np.float32))
     image = canvas[size : size + height, size : size + width]
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
-def render_pattern(pattern: Pattern, spot_diameter: float | None = None) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB image of a pattern; see Pattern.render."""
-    diameter = pattern.spot_diameter if spot_diameter is None else float(spot_diameter)
-    if not (np.isfinite(diameter) and diameter > 0):
-        raise PatternError(f"spot_diameter={diameter} must be a positive number of pixels")
-    symbols = pattern.symbols.reshape(-1)
-    return render_spots(
-        pattern.projector_width,
-        pattern.projector_height,
-        pattern.centers.reshape(-1, 2),
-        np.array([letter.rgb for letter in pattern.letters], dtype=np.float64)[symbols],
-        np.array([letter.shape for letter in pattern.letters])[symbols],
-        diameter,
-    )

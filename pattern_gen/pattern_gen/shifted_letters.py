@@ -129,9 +129,12 @@ class ShiftedLetters:
     exhausted = False  # where there is no such map, there may be others
     turn_steps = 100_000
 
-    def __init__(self, request: Request, rows: int, cols: int) -> None:
-        """The columns' windows are shared out evenly among the steps of the letters."""
+    def __init__(self, request: Request, rows: int, cols: int, *, downwards: bool = False) -> None:
+        """The columns' windows are shared out evenly among the steps of the letters; `downwards`: the rows'."""
         alphabet, turns, window = request.alphabet, request.orientations, request.window
+        self._downwards = downwards
+        if downwards:  # a square map's mirror image is as good
+            rows, cols = cols, rows
         shift = -(-(cols - window + 1) // alphabet)
         self._cols = cols
         self._rules = Rules(window, alphabet, request.h, request.own)
@@ -159,4 +162,5 @@ class ShiftedLetters:
         """(rows, cols) the map found."""
         shift, alphabet = self._state.strip.shape[1], self._rules.alphabet
         col = np.arange(self._cols)
-        return ((self._state.strip[:, col % shift] + col // shift) % alphabet).astype(np.uint8)
+        symbols = ((self._state.strip[:, col % shift] + col // shift) % alphabet).astype(np.uint8)
+        return np.ascontiguousarray(symbols.T if self._downwards else symbols)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pattern_gen.pattern import Grid
 
 _PAIRS = 250_000  # compared at a time
+_KEYS = 1_000_000  # sorted at a time: bounds the memory for large maps
 
 
 @dataclass(frozen=True)
@@ -112,54 +113,58 @@ def _neighbourhood(grid: Grid, window: int, parity: int) -> tuple[NDArray[np.int
     return np.stack([row[order], col[order]], axis=1), np.array(turns)
 
 
-def window_codes(
-    symbols: NDArray[np.uint8], grid: Grid, window: int, rotations: bool = True
-) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def window_codes(symbols: NDArray[np.uint8], grid: Grid, window: int, rotations: bool = True) -> NDArray[np.uint8]:
     """Codes of all windows.
 
     Returns:
-        codes: (orientations, windows, n) uint8; orientations is 1 without rotations.
-        centres: (windows, 2) int64 row and column.
+        (n, orientations, windows) uint8, windows in row-major order; orientations is 1 without rotations.
     """
     radius = window // 2
     rows, cols = symbols.shape
-    row, col = np.meshgrid(np.arange(radius, rows - radius), np.arange(radius, cols - radius), indexing="ij")
-    centres = np.stack([row.reshape(-1), col.reshape(-1)], axis=1)
     turned = _neighbourhood(grid, window, 0)[1]
     turned = turned if rotations else turned[:1]
-    plain = np.empty((turned.shape[1], len(centres)), dtype=np.uint8)
+    plain = np.empty((turned.shape[1], rows - 2 * radius, cols - 2 * radius), dtype=np.uint8)
     for parity in (0, 1):
-        chosen = centres[:, 1] % 2 == parity
-        at = centres[chosen]
+        start = (radius + parity) % 2  # the first centre column of this parity is radius + start
         for i, (down, right) in enumerate(_neighbourhood(grid, window, parity)[0]):
-            plain[i, chosen] = symbols[at[:, 0] + down, at[:, 1] + right]
-    return np.stack([plain[turn].T for turn in turned]), centres
+            seen = symbols[radius + down : rows - radius + down, radius + right + start : cols - radius + right : 2]
+            plain[i, :, start::2] = seen
+    return plain.reshape(len(plain), -1)[turned.T]
 
 
 def _keys(codes: NDArray[np.uint8], cells: NDArray[np.int64], alphabet: int) -> NDArray[Any]:
-    """(m,) rank of the letters at some cells: equal exactly where all of them are equal."""
+    """(m,) rank of the letters that (n, m) codes have at some cells: equal exactly where all of them are equal."""
     narrow = alphabet ** len(cells) < 2**31  # half the memory
-    key: NDArray[Any] = np.zeros(len(codes), dtype=np.int32 if narrow else np.int64)
+    key: NDArray[Any] = np.zeros(codes.shape[1], dtype=np.int32 if narrow else np.int64)
     top = 1
     for cell in cells:
         if top * alphabet >= 2**62:  # does not fit: rank what there is
             key = np.unique(key, return_inverse=True)[1].astype(np.int64)
-            top = len(codes)
+            top = len(key)
         key *= alphabet
-        key += codes[:, cell]
+        key += codes[cell]
         top *= alphabet
     return key
 
 
 def _meetings(key: NDArray[Any], windows: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Pairs (i, j) of equal key with i an unrotated code, i < windows, in batches."""
+    parts = -(-len(key) // _KEYS)
+    for part in range(parts):
+        members = np.flatnonzero(key % parts == part)
+        for i, j in _equal_pairs(key[members], int(np.searchsorted(members, windows))):
+            yield members[i], members[j]
+
+
+def _equal_pairs(key: NDArray[Any], firsts: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Pairs (i, j) of equal key with i < firsts, in batches."""
     order = np.argsort(key, kind="stable")
     ranked = key[order]
-    low = np.searchsorted(ranked, key[:windows], side="left")
-    high = np.searchsorted(ranked, key[:windows], side="right")
+    low = np.searchsorted(ranked, key[:firsts], side="left")
+    high = np.searchsorted(ranked, key[:firsts], side="right")
     ends = np.cumsum(high - low)
     first = 0
-    while first < windows:
+    while first < firsts:
         before = int(ends[first - 1]) if first else 0
         last = max(first + 1, int(np.searchsorted(ends, before + _PAIRS, side="right")))
         counts = (high - low)[first:last]
@@ -169,47 +174,34 @@ def _meetings(key: NDArray[Any], windows: int) -> Iterator[tuple[NDArray[np.int6
         first = last
 
 
-def closest_pair(
-    codes: NDArray[np.uint8], centres: NDArray[np.int64], alphabet: int, *, band: int | None = None
-) -> Pair | None:
-    """A pair of different windows at the least distance over all rotations.
+def _closest(codes: NDArray[np.uint8], width: int, alphabet: int, band: int | None) -> tuple[int, int, int] | None:
+    """Two different windows at the least distance over all rotations; None: there is at most one.
 
     Args:
-        codes: (orientations, windows, n) as of window_codes.
+        codes: (n, orientations, windows) as of window_codes.
+        width: windows in a row.
         band: None, or compare only windows at most so many rows apart.
+
+    Returns:
+        Index of the window, index of the other's code among those of all orientations, distance.
     """
-    _, windows, n = codes.shape
-    if windows < 2:
-        return None
-    flat = codes.reshape(-1, n)
+    n, _, windows = codes.shape
+    flat = codes.reshape(n, -1)
     for distance in range(n + 1):
-        best: tuple[int, int, int] | None = None
         for part in np.array_split(np.arange(n), min(distance + 1, n)):
             cells = part if distance < n else part[:0]
             for i, j in _meetings(_keys(flat, cells, alphabet), windows):
                 other = j % windows
                 wanted = i != other
                 if band is not None:
-                    wanted &= np.abs(centres[i, 0] - centres[other, 0]) <= band
+                    wanted &= np.abs(i // width - other // width) <= band
                 i, j = i[wanted], j[wanted]
                 gap = np.zeros(len(i), dtype=np.uint8)
-                for cell in range(n):
-                    gap += flat[i, cell] != flat[j, cell]
+                for cell in flat:
+                    gap += cell[i] != cell[j]
                 near = np.flatnonzero(gap <= distance)
                 if len(near):
-                    k = int(near[0])
-                    best = (int(i[k]), int(j[k]), int(gap[k]))
-                    break
-            if best is not None:
-                break
-        if best is not None:
-            first, second, gap_found = best
-            turn, other_window = divmod(second, windows)
-            return Pair(
-                Place(int(centres[first, 0]), int(centres[first, 1])),
-                Place(int(centres[other_window, 0]), int(centres[other_window, 1]), turn),
-                gap_found,
-            )
+                    return int(i[near[0]]), int(j[near[0]]), int(gap[near[0]])
     return None
 
 
@@ -232,15 +224,22 @@ def verify_map(
         rotations: False: only the given orientation counts.
         band: None, or only windows at most so many rows apart need differ (epipolar restriction).
     """
-    codes, centres = window_codes(symbols, grid, window, rotations)
+    codes = window_codes(symbols, grid, window, rotations)
+    _, orientations, windows = codes.shape
+    width = symbols.shape[1] - window + 1
+
+    def place(index: int) -> Place:
+        turn, at = divmod(index, windows)
+        return Place(window // 2 + at // width, window // 2 + at % width, turn)
+
     own: Pair | None = None
-    for turn in range(1, len(codes)):
-        gaps = np.zeros(codes.shape[1], dtype=np.uint8)
-        for cell in range(codes.shape[2]):
-            gaps += codes[0, :, cell] != codes[turn, :, cell]
+    for turn in range(1, orientations):
+        gaps = np.zeros(windows, dtype=np.uint8)
+        for cell in codes:
+            gaps += cell[0] != cell[turn]
         k = int(gaps.argmin())
         if own is None or gaps[k] < own.distance:
-            row, col = int(centres[k, 0]), int(centres[k, 1])
-            own = Pair(Place(row, col), Place(row, col, turn), int(gaps[k]))
-    closest = closest_pair(codes, centres, alphabet, band=band)
-    return Verification(codes.shape[1], closest, own, h, own_limit, len(codes))
+            own = Pair(place(k), place(turn * windows + k), int(gaps[k]))
+    found = _closest(codes, width, alphabet, band)
+    closest = None if found is None else Pair(place(found[0]), place(found[1]), found[2])
+    return Verification(windows, closest, own, h, own_limit, orientations)

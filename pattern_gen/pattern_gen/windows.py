@@ -43,12 +43,16 @@ class WindowGeometry:
         """Number of rows and columns at the border that are no centres."""
         return self.window // 2
 
-    def cells(self, rows: int, cols: int) -> NDArray[np.int64]:
-        """(windows, n) flat cell indices of every window of a rows x cols map, in row-major order of the centres."""
-        margin = self.margin
-        row, col = np.meshgrid(np.arange(margin, rows - margin), np.arange(margin, cols - margin), indexing="ij")
-        offsets = self.offsets[col.reshape(-1) % 2]
-        return (row.reshape(-1, 1) + offsets[..., 0]) * cols + col.reshape(-1, 1) + offsets[..., 1]
+    def cells(self, rows: int, cols: int, part: slice = slice(None)) -> NDArray[np.int64]:
+        """(windows, n) flat cell indices of every window of a rows x cols map, in row-major order of the centres.
+
+        `part`: of these windows only.
+        """
+        width = cols - 2 * self.margin
+        centre = np.arange((rows - 2 * self.margin) * width)[part]
+        row, col = self.margin + centre // width, self.margin + centre % width
+        offsets = self.offsets[col % 2]
+        return (row[:, None] + offsets[..., 0]) * cols + col[:, None] + offsets[..., 1]
 
 
 def _square(window: int) -> WindowGeometry:

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from pattern_gen.catalogue import default_pattern
 from pattern_gen.charts import (
     colour_chart,
     colour_chart_drives,
@@ -10,7 +11,6 @@ from pattern_gen.charts import (
 )
 from pattern_gen.errors import ProjectionError
 from pattern_gen.gray_code import Arrangement, Axis, bit_count, code_frame, code_words, decode_words
-from pattern_gen.pattern import default_pattern
 from pattern_gen.projection import FrameRequest, Mode, SpotLimits, adapted_diameter, render_frame
 
 

@@ -26,10 +26,15 @@ def test_its_maps_hold_by_brute_force(alphabet, h, rows, cols, invariant, readin
     assert own >= request.own
 
 
-def test_letters_go_up_by_one_every_shift():
-    search = ShiftedLetters(Request(alphabet=3, h=3, seed=1), 9, 11)
+@pytest.mark.parametrize("downwards", [False, True])
+def test_letters_go_up_by_one_every_shift(downwards):
+    rows, cols = (11, 9) if downwards else (9, 11)
+    search = ShiftedLetters(Request(alphabet=3, h=3, seed=1), rows, cols, downwards=downwards)
     assert search.run(1_000_000)
     symbols = search.result().astype(int)
+    assert symbols.shape == (rows, cols)
+    if downwards:
+        symbols = symbols.T
     assert np.array_equal(symbols[:, 3:], (symbols[:, :-3] + 1) % 3)
 
 

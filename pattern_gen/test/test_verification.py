@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from brute_force import distance, least_distances, turned, windows
@@ -104,3 +106,14 @@ def test_ready_maps_hold(name):
     kind, size, *_ = name.split("_")
     assert kind == pattern.grid.value
     assert size == f"{pattern.rows}x{pattern.cols}"
+
+
+@pytest.mark.parametrize("grid", list(Grid))
+def test_a_million_windows_need_less_than_200_mb(grid):
+    symbols = np.random.default_rng(0).integers(0, 14, (602, 602)).astype(np.uint8)
+    tracemalloc.start()
+    result = verify_map(symbols, grid=grid, alphabet=14, h=1, own_limit=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert result.windows == 360_000
+    assert peak < 200 * result.windows

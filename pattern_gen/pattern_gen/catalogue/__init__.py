@@ -22,3 +22,8 @@ def load_ready_pattern(name: str) -> Pattern:
     if name not in ready_names():
         raise PatternError(f"no ready pattern {name!r}; known: {', '.join(ready_names())}")
     return Pattern.load(FOLDER / f"{name}.yaml")
+
+
+def default_pattern() -> Pattern:
+    """The shipped pattern of the paper's experiment: 44x58 spots, three colours in two intensities, h = 3, 1024x768."""
+    return load_ready_pattern("square_44x58_a6_h3")

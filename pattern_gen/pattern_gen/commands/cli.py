@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-
-from tqdm import tqdm
+from typing import TYPE_CHECKING
 
 from pattern_gen.search_request import Progress
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 
 def size(text: str) -> tuple[int, int]:
@@ -34,6 +36,8 @@ class ProgressLine:
         if progress.seconds < 2.0 or not sys.stderr.isatty():
             return
         if self._bar is None:
+            from tqdm import tqdm
+
             columns, lines = shutil.get_terminal_size()  # a terminal of unknown size reports 0x0; this falls back
             self._bar = tqdm(
                 total=self._limit,
