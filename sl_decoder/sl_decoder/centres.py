@@ -20,6 +20,7 @@ from sl_decoder.compiled import compiled
 from sl_decoder.segmentation import Segments
 
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
+LOPSIDED = 0.7  # px between weighted centre and middle of the core, which agree in a disc that is whole and evenly lit
 LANES = 16  # pixels of a blob are summed in groups of this many
 SAMPLES = 16  # of the background around a blob
 
@@ -31,8 +32,9 @@ class Dots:
     centre (N, 2) float32 px; colour (N, 3) float32 B, G, R above the background, mean over the core, counts;
     covariance (N, 3) float32 xx, xy, yy of the core, px^2; area (N,) int32 pixels of the core (above half of the peak);
     noise (N,) float32 uncertainty of a colour channel, counts; saturated (N,) float32 share of saturated core pixels;
-    cut (N,) bool: touches the border of the image; profile (N,) float32: logarithm of the affine-invariant radial
-    kurtosis, which tells shapes apart (ring < disc < square < cross, triangle).
+    cut (N,) bool: touches the border of the image, or is lit so unevenly that its centre cannot be trusted;
+    profile (N,) float32: logarithm of the affine-invariant radial kurtosis, which tells shapes apart (ring < disc <
+    square < cross, triangle).
     """
 
     centre: NDArray[np.float32]
@@ -256,6 +258,7 @@ def _measure(
             ox, oy = fx, fy
         centre[j, 0] = x0 + ox
         centre[j, 1] = y0 + oy
+        cut[j] |= (ox - mx) ** 2 + (oy - my) ** 2 > np.float32(LOPSIDED * LOPSIDED)
         sw = m2 = m4 = zero
         for k in range(whole):
             dx = pixel[0, k] - ox

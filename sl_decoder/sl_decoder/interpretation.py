@@ -27,6 +27,9 @@ GROWTHS = 4
 MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
 NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
+SMOOTHING = 0.375  # px^2 that the mosaic's filter adds to a footprint, beyond what it adds in an image twice as large
+RIM = np.array([0.0, 0.0, 2.0, 2.0], np.float32)  # log-odds asked of a dot beyond the limit, per kind of prediction
+RECOVERED_RIM = 2.5  # and of a recovered dot that has not all its neighbours
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
 
@@ -318,9 +321,26 @@ class Interpretation:
         """Decoded dots per segmented blob."""
         return self.decoded() / max(1, self.segmented)
 
+    def typical_core(self) -> float:
+        """Median area of the blobs' cores [px]."""
+        return float(np.median(self.area[: self.segmented])) if self.segmented else np.inf
+
+    def halve(self) -> None:
+        """Bring what was measured in an image of twice the size to pixels of the image itself."""
+        used = slice(self.n)
+        self.centre[used] = 0.5 * self.centre[used] - np.float32(0.25)
+        self.covariance[used] *= np.float32(0.25)
+        self.covariance[used, ::2] += np.float32(SMOOTHING)
+        self.area[used] = (self.area[used] + 2) // 4
+
     def finish(self, limit: float) -> None:
-        """Release dots still below `limit`, and those that the border of the image cuts: their centres are wrong."""
-        low = (self.claim >= 0) & (self.belief < limit)
+        """Release dots still below `limit`, and those whose centres are wrong: cut by the border, lit unevenly.
+
+        Where a dot has no neighbours on one side, half a dot of its letter is what it is most easily taken for: there
+        more than `limit` is asked.
+        """
+        asked = limit + RIM[self.kind] + RECOVERED_RIM * ((self.claim >= self.segmented) & (self.kind > growth.FULL))
+        low = (self.claim >= 0) & (self.belief < asked)
         self.holder_u[self.claim[low]] = -1
         self.holder_v[self.claim[low]] = -1
         self.claim[low] = -1

@@ -158,3 +158,12 @@ def test_the_same_image_gives_the_same_result() -> None:
     one, two = DECODER.decode(image), DECODER.decode(image)
     assert (one.camera == two.camera).all()
     assert (one.confidence == two.confidence).all()
+
+
+@pytest.mark.parametrize(("scale", "blur"), [(0.33, 0.9), (0.36, 1.0), (0.4, 1.2)])
+def test_small_dots_that_blur_into_each_other_are_read(scale: float, blur: float) -> None:
+    affine = view(PATTERN, angle=0.5, scale=scale, seed=2)
+    decoded = DECODER.decode(cv2.GaussianBlur(project(PATTERN, affine), (0, 0), blur))
+    assert len(decoded) >= 0.99 * PATTERN.symbols.size
+    assert np.median(errors(decoded, affine)) < 0.15
+    assert errors(decoded, affine).max() < 0.7
