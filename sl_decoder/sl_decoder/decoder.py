@@ -29,7 +29,8 @@ MOSTLY_EXPLAINED = 0.85  # share of the blobs that are decoded from which no sec
 WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
 SMALL_CORE = 15.0  # pixels of the median blob's core up to which dots may be blurred into each other
 NEARLY_EXPLAINED = 0.9  # share of the blobs that are decoded from which small dots are not read again
-SHARPER_GAIN = 1.1  # times as many dots that the sharpened image must give: its centres are noisier
+FEW_GAPS = 0.04  # share of the dots amid decoded ones that segmentation may miss before that
+SHARPER_GAIN = 1.05  # times as many dots that the sharpened image must give: its centres are noisier
 SHARPENED = 3.0  # width of the blur that is taken off, in pixels of the doubled image: about that of a dot
 BLURS = (0.3, 0.0, 0.6, None)  # metrics in which what is left is linked once more [px^2]
 
@@ -91,7 +92,7 @@ class Decoder:
             wider = self._interpret_with(bgr, round(usual * WIDER_KERNEL))
             if wider.decoded() > best.decoded():
                 best = wider
-        if best.explained() < NEARLY_EXPLAINED and best.typical_core() <= SMALL_CORE:
+        if best.typical_core() <= SMALL_CORE and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
             sharper = self._interpret_with(doubled_and_sharpened(bgr), 2 * usual)
             if sharper.decoded() > SHARPER_GAIN * best.decoded():
                 sharper.halve()

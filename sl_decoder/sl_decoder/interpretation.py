@@ -6,6 +6,7 @@ the map expects them are appended. Per map element: (V, U) arrays in axial coord
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +31,8 @@ COMPLETE = 0.98  # share of the lattices' dots from which an image counts as com
 SMOOTHING = 0.375  # px^2 that the mosaic's filter adds to a footprint, beyond what it adds in an image twice as large
 RIM = np.array([0.0, 0.0, 2.0, 2.0], np.float32)  # log-odds asked of a dot beyond the limit, per kind of prediction
 RECOVERED_RIM = 2.5  # and of a recovered dot that has not all its neighbours
+AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
+CHANCE = 0.03  # share of the dots on lattices that must be decoded: less is chance
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
 
@@ -321,6 +324,12 @@ class Interpretation:
         """Decoded dots per segmented blob."""
         return self.decoded() / max(1, self.segmented)
 
+    def gaps(self) -> float:
+        """Share of the elements amid decoded ones for which segmentation gave no dot."""
+        amid = cv2.boxFilter((self.claim >= 0).astype(np.uint8), -1, (3, 3), normalize=False) >= AMID
+        missing = amid & ((self.claim < 0) | (self.claim >= self.segmented))
+        return float(missing.sum()) / max(1, int(amid.sum()))
+
     def typical_core(self) -> float:
         """Median area of the blobs' cores [px]."""
         return float(np.median(self.area[: self.segmented])) if self.segmented else np.inf
@@ -337,17 +346,22 @@ class Interpretation:
         """Release dots still below `limit`, and those whose centres are wrong: cut by the border, lit unevenly.
 
         Where a dot has no neighbours on one side, half a dot of its letter is what it is most easily taken for: there
-        more than `limit` is asked.
+        more than `limit` is asked. Lattices of which next to nothing agrees with the map are another pattern's.
         """
         asked = limit + RIM[self.kind] + RECOVERED_RIM * ((self.claim >= self.segmented) & (self.kind > growth.FULL))
-        low = (self.claim >= 0) & (self.belief < asked)
-        self.holder_u[self.claim[low]] = -1
-        self.holder_v[self.claim[low]] = -1
-        self.claim[low] = -1
+        self._release((self.claim >= 0) & (self.belief < asked))
         cut = np.flatnonzero(self.cut & (self.holder_v[: self.segmented] >= 0))
         self.claim[self.holder_v[cut], self.holder_u[cut]] = -1
         self.holder_v[cut] = -1
         self.holder_u[cut] = -1
+        if self.decoded() < CHANCE * int((self.at >= 0).sum()):
+            self._release(self.claim >= 0)
+
+    def _release(self, elements: NDArray[np.bool_]) -> None:
+        """Take the dots of these held elements (V, U) away from them."""
+        self.holder_u[self.claim[elements]] = -1
+        self.holder_v[self.claim[elements]] = -1
+        self.claim[elements] = -1
 
     def is_complete(self) -> bool:
         """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""
@@ -417,10 +431,7 @@ class Interpretation:
         if self.n > before:
             self.judge(limit)
             # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
-            rim = (self.claim >= before) & (self.kind >= growth.EXTRAPOLATED)
-            for values in (self.holder_u, self.holder_v):
-                values[self.claim[rim]] = -1
-            self.claim[rim] = -1
+            self._release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
 
 
 def _roomy(values: NDArray, room: int) -> NDArray:

@@ -76,8 +76,8 @@ def test_saturated_and_cut_dots_are_marked() -> None:
 
 def test_a_dot_that_light_leaves_on_one_side_is_marked() -> None:
     y, x = np.mgrid[:60, :120].astype(np.float64)
-    discs = [((x - cx) ** 2 / 49 + (y - 30) ** 2 / 144 <= 1) for cx in (30, 90)]
-    fading = np.clip((y - 20) / 22, 0.02, 1)  # as at a limb that the light grazes
+    discs = [((x - cx) ** 2 / 49 + (y - 30) ** 2 / 324 <= 1) for cx in (30, 90)]
+    fading = np.clip((y - 12) / 36, 0, 1)  # as at a limb that the light grazes
     light = 180.0 * (discs[0] + discs[1] * fading)
     image = cv2.GaussianBlur(light, (0, 0), 0.8) + np.random.default_rng(3).normal(20, 2, light.shape)
     dots = measure(segment(colour(image), 51))
