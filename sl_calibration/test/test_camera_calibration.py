@@ -2,6 +2,7 @@
 images."""
 
 import os
+from functools import cache
 from pathlib import Path
 
 import board_scenes
@@ -107,14 +108,17 @@ def test_a_view_of_another_camera_is_named():
         calibrate_camera(corners, board_scenes.BOARD, 800, 600)
 
 
-def write_photographs(folder: Path, number: int, size=(800, 600)) -> list[str]:
-    camera = CameraModel(*size, np.array([[900.0, 0, size[0] / 2], [0, 900.0, size[1] / 2], [0, 0, 1]]))
-    paths = []
-    for k, pose in enumerate(board_scenes.poses(number, seed=7)):
-        image = 230 * board_scenes.board_albedo(camera, pose, board_scenes.BOARD)
-        path = folder / f"photo_{k}.png"
-        cv2.imwrite(str(path), image.astype(np.uint8))
-        paths.append(str(path))
+@cache
+def photographs(number: int) -> list[np.ndarray]:
+    camera = CameraModel(800, 600, np.array([[900.0, 0, 400], [0, 900.0, 300], [0, 0, 1]]))
+    poses = board_scenes.poses(number, seed=7)
+    return [(230 * board_scenes.board_albedo(camera, pose, board_scenes.BOARD)).astype(np.uint8) for pose in poses]
+
+
+def write_photographs(folder: Path, number: int) -> list[str]:
+    paths = [str(folder / f"photo_{k}.png") for k in range(number)]
+    for path, image in zip(paths, photographs(number), strict=True):
+        cv2.imwrite(path, image)
     return paths
 
 

@@ -30,11 +30,10 @@ def test_the_covariance_is_that_of_perturbed_transforms():
     hand_eye = PoseCalibration(random_pose(0.1), random_covariance())
     pair = PoseCalibration(random_pose(0.8), random_covariance())
     placed = place_projector(flange, hand_eye, pair)
-    deltas = []
-    for _ in range(8000):
-        one = transforms.perturb(hand_eye.transform, RNG.multivariate_normal(np.zeros(6), hand_eye.covariance))
-        two = transforms.perturb(pair.transform, RNG.multivariate_normal(np.zeros(6), pair.covariance))
-        deltas.append(transforms.difference(placed.transform, flange @ one @ two))
-    sampled = np.cov(np.array(deltas).T)
+    one, two = (
+        transforms.perturb(pose.transform, RNG.multivariate_normal(np.zeros(6), pose.covariance, size=8000))
+        for pose in (hand_eye, pair)
+    )
+    sampled = np.cov(transforms.difference(placed.transform, flange @ one @ two).T)
     scale = np.sqrt(np.diag(placed.covariance))
     np.testing.assert_allclose(sampled / np.outer(scale, scale), placed.covariance / np.outer(scale, scale), atol=0.06)
