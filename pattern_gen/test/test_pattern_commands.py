@@ -189,9 +189,9 @@ def test_ctrl_c_keeps_the_best_so_far_and_progress_is_shown(tmp_path):
 
 
 def test_tables_verify_and_draw_what_they_list(tmp_path):
-    done = run("tables", "--output", tmp_path, "--table", "square", "--hamming", 3, "--letters", 5, "--paper-time", 0.5)
+    done = run("tables", "--output", tmp_path, "--table", "square", "--hamming", 3, "--letters", 4, "--paper-time", 0.5)
     assert done.returncode == 0, done.stderr
-    assert "32x43" in (tmp_path / "tables.md").read_text()
+    assert "18x24" in (tmp_path / "tables.md").read_text()
     assert (tmp_path / "tables.csv").read_text().startswith("table,a,h")
-    assert cv2.imread(str(tmp_path / "square_a5_h3.png")) is not None
-    assert run("verify", tmp_path / "square_a5_h3.yaml").returncode == 0
+    assert cv2.imread(str(tmp_path / "square_a4_h3.png")) is not None
+    assert run("verify", tmp_path / "square_a4_h3.yaml").returncode == 0
