@@ -18,6 +18,9 @@ from sl_common import transforms
 
 Array = NDArray[np.float64]
 
+_HIDDEN = 2.5
+"""Distance of a place from the nearest dot from which on it is not seen, in units of the points' spacing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TargetOptions:
@@ -84,7 +87,8 @@ def find_target(
         options: How to choose.
         projector: (3,) its position [m], by which the uncertainty allows for rays that meet at a small angle.
         previous: (3,) surface point chosen before [m]: the same object is taken again.
-        anchor: (3,) position [m] to which the target's surface point stays next; None: as ``offset`` says.
+        anchor: (3,) position [m] to which the target's surface point stays next, which has to be seen; None: as
+            ``offset`` says.
         offset: (3,) of the target's surface point from the object's middle [m]; None: as near the middle as the normal
             is clear.
 
@@ -93,7 +97,9 @@ def find_target(
     options = options or TargetOptions()
     found = _find_object(points, base_from_camera, confidence, row, col, options, previous)
     viewpoint = base_from_camera[:3, 3]
-    if anchor is None and offset is not None:
+    if anchor is not None:
+        _require_seen(found, anchor)
+    elif offset is not None:
         anchor = found.middle + offset
     if anchor is None:
         surface = clear_patch(*found.patch(viewpoint), fit=options.fit, clear=options.clear_normal_sigma)
@@ -196,6 +202,16 @@ def _target(
         surface = replace(surface, covariance=surface.covariance + common)
     pose = facing_pose(surface.point, surface.normal, base_from_camera, options.standoff, options.roll)
     return Target(pose, surface, len(found.points), found.middle)
+
+
+def _require_seen(found: _Object, anchor: Array) -> None:
+    """Raise TargetError where no dot of the object is near a place of it: the camera may stand in the light."""
+    distance, limit = float(np.linalg.norm(found.points - anchor, axis=1).min()), _HIDDEN * found.spacing
+    if distance > limit:
+        raise TargetError(
+            f"the place is not seen: the nearest dot of the object is {1e3 * distance:.0f} mm from it, limit"
+            f" {1e3 * limit:.0f} mm; it is in the shadow of the camera, or the object has moved"
+        )
 
 
 def _require_near(points: Array, previous: Array, limit: float) -> None:

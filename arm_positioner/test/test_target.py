@@ -83,6 +83,14 @@ def test_an_anchor_holds_the_surface_point():
     assert np.linalg.norm(patch.point - anchor) < 0.02
 
 
+def test_an_anchor_in_a_shadow_is_not_replaced_by_a_place_beside_it():
+    points, row, col = cast(plane((0, 0, 1.0), (0, 0, -1.0)), noise=3e-4)
+    anchor = np.array([0.1, 0.08, 1.0])
+    lit = np.linalg.norm(points - anchor, axis=1) > 0.06
+    with pytest.raises(TargetError, match=r"not seen: the nearest dot of the object is 6\d mm from it, limit 3\d mm"):
+        find_target(points[lit], CAMERA, row=row[lit], col=col[lit], anchor=anchor)
+
+
 def test_confidence_counts_and_nonfinite_points_do_not():
     points, row, col = cast(plane((0, 0, 1.0), (0, 0, -1.0)), noise=3e-4)
     points[::7] = np.nan
