@@ -8,6 +8,7 @@ from sensor_msgs.msg import CameraInfo, JointState
 from stack_testing.running import wait_for
 from std_msgs.msg import Header, String
 
+from pattern_gen import default_pattern
 from sl_bringup import nominal_calibration
 from sl_common import transforms
 from sl_common.calibration_files import Calibration, PoseCalibration
@@ -38,9 +39,9 @@ class MovingObject:
         self._dots = self._peer.publisher(Correspondences, "correspondences", STREAM_PUBLISH)
         self._peer.publisher(String, "robot_description", LATCHED).publish(String(data=arm.urdf()))
         self._peer.node.create_timer(0.02, self._tell_joints)
-        row, col = (a.ravel() for a in np.mgrid[0:44, 0:58])
-        self._row, self._col = row, col
-        self._pixels = np.stack([1024 / 58 * (col + 0.5) - 0.5, 768 / 44 * (row + 0.5) - 0.5], axis=1)
+        pattern = default_pattern()
+        self._row, self._col = (a.ravel() for a in np.mgrid[: pattern.rows, : pattern.cols])
+        self._pixels = pattern.centers.reshape(-1, 2)
 
     def calibration(self):
         cell = self.cell
