@@ -63,6 +63,15 @@ class Seen:
         # The first may have been exposed before.
         return np.mean([images.to_bgr(m) for m in self._images[begin + 1 : begin + 5]], axis=0)
 
+    def wait_for_other_letters(self, image, least=10.0):
+        """Wait until the camera sees a letter `least` grey levels off what it is in `image`; light takes its time."""
+        old = self.letters(image, 0.0)
+
+        def shown():
+            return np.abs(self.letters(images.to_bgr(self._images[-1]), 0.0) - old).max() > least
+
+        wait_for(shown, PATIENCE, "the new letters in the camera's images")
+
     def letters(self, image, black):
         """Camera values above black (A, 3), R G B: the median over the visible dots of each letter."""
         rows, cols = np.nonzero(self.visible)
@@ -116,6 +125,7 @@ def test_colours_calibrated_in_the_cell_part_the_letters_and_help_the_decoder(st
         node.stop()
     stack.start("pattern_gen", "pattern_publisher", colours_file=saved.files[0])
     stack.start("sl_decoder", "decoder", colours_file=saved.files[0])
+    seen.wait_for_other_letters(image)
     begin = len(stack.peer.received["correspondences"])
     wait_for(lambda: len(stack.peer.received["correspondences"]) > begin + 2, PATIENCE, "dots of the new letters")
     new_image = seen.image()
