@@ -17,18 +17,16 @@ SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in i
 class Alphabet:
     """What the pattern says of its A letters.
 
-    colour (A, 3) float64 B, G, R drive values 0..1; hue (A,) and shape (A,) index; group (A,) int32 hue and shape
-    together; direction (G, 3) unit colour of a group; level (A,) float64 logarithm of the drive relative to the
-    group's brightest; share (A,) of the map's dots; upper (3,) drive value at UPPER_TAIL of the dots' channels;
-    profiles (S,) radial kurtosis (log) of each shape, seen sharp.
+    hue (A,) and shape (A,) index; group (A,) int32 hue and shape together; hue_colour (H, 3) mean B, G, R drive values
+    0..1 of a hue's letters; ranked (A,) letters, darkest first; share (A,) of the map's dots; upper (3,) drive value at
+    UPPER_TAIL of the dots' channels; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
     """
 
-    colour: np.ndarray
     hue: np.ndarray
     shape: np.ndarray
     group: np.ndarray
-    direction: np.ndarray
-    level: np.ndarray
+    hue_colour: np.ndarray
+    ranked: np.ndarray
     share: np.ndarray
     upper: np.ndarray
     profiles: np.ndarray
@@ -68,12 +66,11 @@ def read_alphabet(pattern: Pattern) -> Alphabet:
     order = np.argsort(colour, axis=0)
     tail = [min(int(np.searchsorted(np.cumsum(share[one]), UPPER_TAIL)), len(one) - 1) for one in order.T]
     return Alphabet(
-        colour=colour,
         hue=hue,
         shape=shape,
         group=group,
-        direction=np.repeat(np.array(directions), len(names), axis=0),
-        level=level,
+        hue_colour=np.array([colour[hue == h].mean(0) for h in range(len(directions))]),
+        ranked=np.argsort(level, kind="stable"),
         share=share,
         upper=np.sort(colour, axis=0)[tail, range(3)],
         profiles=np.array([sharp_profile(name) for name in names], np.float32),

@@ -1,6 +1,7 @@
 """Intensities relative to their surroundings: a field of albedo, distance and shading that neighbouring dots share.
 
-The logarithm of a dot's signal is its letter's level plus the field; levels and field are estimated in turn.
+The logarithm of a dot's signal is its letter's level plus the field; levels and field are estimated in turn. Loops run
+over blocks of dots innermost, without branches: the compiler makes vectors of them.
 """
 
 # mypy: allow-untyped-defs, no-check-untyped-defs
@@ -11,44 +12,15 @@ from __future__ import annotations
 import numpy as np
 
 from sl_decoder.compiled import compiled
+from sl_decoder.quantiles import quantile, sample
 
 EDGE = 0.25  # log signal by which a neighbour may differ before it counts as beyond an albedo edge
 RIDGE = 0.6  # damping of the field's slopes
-LANES = 16  # most neighbours of a dot that count; loops of constant length become vector code
-
-
-@compiled
-def select(values, rank):
-    """The value that would stand at `rank` if values (N,) were sorted; reorders them (Hoare's selection)."""
-    low, high = 0, len(values) - 1
-    while low < high:
-        pivot = values[(low + high) >> 1]
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if rank <= j:
-            high = j
-        elif rank >= i:
-            low = i
-        else:
-            break
-    return values[rank]
-
-
-@compiled
-def quantile(values, share):
-    """Quantile of values (N,) float32, which are reordered; 0 for none."""
-    n = len(values)
-    if n == 0:
-        return np.float32(0)
-    return select(values, min(n - 1, int(share * n)))
+NEIGHBOURS = 16  # nearest dots that tell a dot's field
+BLOCK = 64  # dots whose fields are estimated at once
+NONE = np.float32(1e9)  # in place of a log signal: no such neighbour, or none that counts
+RING = 8  # nearest dots whose mean tells the first levels
+ROUNDS = 3  # of letters, levels and field in turn
 
 
 @compiled
@@ -58,136 +30,195 @@ def local_field(centre, signal, near, letter, level, use, field, field_variance)
     Robust (weights fall off with the distance from the median, so that albedo edges do not mix) and damped (a ridge on
     the slopes, so that one-sided neighbourhoods extrapolate a gradient without exaggerating it).
     """
-    n, k = len(near), min(near.shape[1], LANES)
-    one, zero = np.float32(1), np.float32(0)
+    n = len(signal)
     own = np.empty(n, np.float32)
+    value = np.full(n + 1, NONE, np.float32)  # the last is what the index -1 means: no neighbour
     for i in range(n):
         own[i] = signal[i] - level[letter[i]]
-    values = np.empty(LANES, np.float32)
-    xs = np.empty(LANES, np.float32)
-    ys = np.empty(LANES, np.float32)
-    for i in range(n):
+        value[i] = own[i] if use[i] else NONE
+    neighbours = min(near.shape[1], NEIGHBOURS)
+    around = np.zeros((3, neighbours, BLOCK), np.float32)
+    number = np.zeros(BLOCK, np.int32)
+    ordered = np.empty((neighbours, BLOCK), np.float32)
+    middle = np.empty(BLOCK, np.float32)
+    sums = np.empty((11, BLOCK), np.float32)
+    for begin in range(0, n, BLOCK):
+        _gather(centre, value, near, begin, around, number)
+        ordered[:] = around[2]
+        _medians(ordered, number, middle)
+        _moments(around, middle, sums)
+        plane, variance = sums[0], sums[1]
+        _planes(sums, middle, plane, variance)
+        for i in range(min(BLOCK, n - begin)):
+            alone = number[i] == 0
+            field[begin + i] = own[begin + i] if alone else plane[i]
+            field_variance[begin + i] = np.float32(1) if alone else variance[i]
+
+
+@compiled
+def _gather(centre, value, near, begin, around, number):
+    """Neighbours of a block of dots: around (3, K, BLOCK) their x and y from the dot [px] and value (NONE: not to
+    count), number (BLOCK,) of those that count."""
+    for i in range(min(BLOCK, len(near) - begin)):
+        x, y = centre[begin + i, 0], centre[begin + i, 1]
         m = 0
-        far = one
-        px, py = centre[i, 0], centre[i, 1]
-        for q in range(k):
-            j = near[i, q]
-            if j < 0:
-                break
-            values[m] = own[j]
-            x = centre[j, 0] - px
-            y = centre[j, 1] - py
-            xs[m] = x
-            ys[m] = y
-            if use[j]:
-                far = max(far, x * x + y * y)
-                m += 1
-        if m == 0:
-            field[i] = own[i]
-            field_variance[i] = one
-            continue
-        for q in range(m, LANES):
-            values[q] = np.float32(1e9)
-        middle = _upper_median(values, m)
-        scale = one / np.sqrt(far)
-        sw = sz = sx = sy = sxx = sxy = syy = sxz = syz = szz = zero
-        for q in range(m):
-            z = values[q] - middle
-            e = z * np.float32(1 / EDGE)
-            w = one / (one + e * e)
-            x = xs[q] * scale
-            y = ys[q] * scale
-            wx, wy, wz = w * x, w * y, w * z
-            sw += w
-            sz += wz
-            sx += wx
-            sy += wy
-            sxx += wx * x
-            sxy += wx * y
-            syy += wy * y
-            sxz += wx * z
-            syz += wy * z
-            szz += wz * z
-        mx = sx / sw
-        my = sy / sw
-        mz = sz / sw
-        vxx = sxx - sw * mx * mx
-        vyy = syy - sw * my * my
+        for q in range(around.shape[1]):
+            j = near[begin + i, q]
+            around[0, q, i] = centre[j, 0] - x
+            around[1, q, i] = centre[j, 1] - y
+            around[2, q, i] = value[j]
+            m += np.int64(value[j] < NONE)
+        number[i] = m
+
+
+@compiled
+def _medians(values, number, middle):
+    """Upper median (BLOCK,) of the `number` (BLOCK,) least of each column of values (K, BLOCK), which are sorted."""
+    for turn in range(len(values)):  # sorting by transposition: the same comparisons for all
+        for q in range(turn & 1, len(values) - 1, 2):
+            _sort_two(values[q], values[q + 1])
+    for i in range(BLOCK):
+        middle[i] = values[number[i] >> 1, i] if number[i] > 0 else np.float32(0)
+
+
+@compiled
+def _sort_two(low, high):
+    for i in range(BLOCK):
+        least = min(low[i], high[i])
+        high[i] = max(low[i], high[i])
+        low[i] = least
+
+
+@compiled
+def _moments(around, middle, sums):
+    """Weighted sums (10, BLOCK) over the neighbours of 1, x, y, z, xx, xy, yy, xz, yz, zz; z: value from the median.
+
+    Places are in units of the farthest neighbour's distance; sums[10] is work space.
+    """
+    one, zero = np.float32(1), np.float32(0)
+    scale = sums[10]
+    sums[:10] = zero
+    scale[:] = one
+    for q in range(around.shape[1]):
+        x, y, value = around[0, q], around[1, q], around[2, q]
+        for i in range(BLOCK):
+            scale[i] = max(scale[i], x[i] * x[i] + y[i] * y[i] if value[i] < NONE else zero)
+    for i in range(BLOCK):
+        scale[i] = one / np.sqrt(scale[i])
+    for q in range(around.shape[1]):
+        _add_moments(around[0, q], around[1, q], around[2, q], scale, middle, sums)
+
+
+@compiled
+def _add_moments(xs, ys, value, scale, middle, sums):
+    one, zero = np.float32(1), np.float32(0)
+    for i in range(BLOCK):
+        x = xs[i] * scale[i]
+        y = ys[i] * scale[i]
+        z = value[i] - middle[i]
+        e = z * np.float32(1 / EDGE)
+        w = one / (one + e * e) if value[i] < NONE else zero
+        wx, wy, wz = w * x, w * y, w * z
+        sums[0, i] += w
+        sums[1, i] += wx
+        sums[2, i] += wy
+        sums[3, i] += wz
+        sums[4, i] += wx * x
+        sums[5, i] += wx * y
+        sums[6, i] += wy * y
+        sums[7, i] += wx * z
+        sums[8, i] += wy * z
+        sums[9, i] += wz * z
+
+
+@compiled
+def _planes(sums, middle, value, variance):
+    """Value (BLOCK,) at the dots of the planes through their neighbours, and its variance; see `_moments`."""
+    one, zero = np.float32(1), np.float32(0)
+    for i in range(BLOCK):
+        sw = max(sums[0, i], np.float32(1e-6))
+        mx, my, mz = sums[1, i] / sw, sums[2, i] / sw, sums[3, i] / sw
+        vxx = sums[4, i] - sw * mx * mx
+        vyy = sums[6, i] - sw * my * my
         cxx = vxx + np.float32(RIDGE)
-        cxy = sxy - sw * mx * my
+        cxy = sums[5, i] - sw * mx * my
         cyy = vyy + np.float32(RIDGE)
-        cxz = sxz - sw * mx * mz
-        cyz = syz - sw * my * mz
+        cxz = sums[7, i] - sw * mx * mz
+        cyz = sums[8, i] - sw * my * mz
         det = cxx * cyy - cxy * cxy
         gx = (cxz * cyy - cyz * cxy) / det
         gy = (cyz * cxx - cxz * cxy) / det
-        field[i] = middle + mz - gx * mx - gy * my
         # weighted sum of squared residuals, expanded
-        total = szz - sw * mz * mz - 2 * (gx * cxz + gy * cyz) + gx * gx * vxx + 2 * gx * gy * cxy + gy * gy * vyy
+        slopes = gx * gx * vxx + 2 * gx * gy * cxy + gy * gy * vyy
+        total = sums[9, i] - sw * mz * mz - 2 * (gx * cxz + gy * cyz) + slopes
         lever = one / sw + (mx * mx * cyy - 2 * mx * my * cxy + my * my * cxx) / det
-        field_variance[i] = (max(total, zero) + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
+        value[i] = middle[i] + mz - gx * mx - gy * my
+        variance[i] = (max(total, zero) + np.float32(1e-4)) / sw * (np.float32(0.3) + lever)
 
 
 @compiled
-def _upper_median(values, n):
-    """Value of rank n // 2 of the first n of LANES values; the others must be greater.
-
-    Counting compares all pairs, without a branch that depends on them: faster than sorting sixteen.
-    """
-    middle = values[0]
-    for i in range(LANES):
-        below = np.int32(0)
-        up_to = np.int32(0)
-        for j in range(LANES):
-            below += np.int32(values[j] < values[i])
-            up_to += np.int32(values[j] <= values[i])
-        middle = values[i] if below <= n >> 1 < up_to else middle
-    return middle
-
-
-@compiled
-def _neighbour_mean(values, near, use, out):
-    for i in range(len(values)):
+def _neighbour_sum(value, near, use, out):
+    """Sum (N,) of value (N,) float32 over each dot's neighbours in use."""
+    n = len(value)
+    counted = np.zeros(n + 1, np.float32)  # the last is what the index -1 means: no neighbour
+    for i in range(n):
+        counted[i] = value[i] if use[i] else np.float32(0)
+    for i in range(n):
         total = np.float32(0)
-        m = 0
-        for q in range(near.shape[1]):
-            j = near[i, q]
-            if j < 0:
-                break
-            if use[j]:
-                total += values[j]
-                m += 1
-        out[i] = total / m if m > 0 else values[i]
+        for q in range(min(near.shape[1], RING)):
+            total += counted[near[i, q]]
+        out[i] = total
+
+
+@compiled
+def _neighbour_mean(value, near, use, number, out):
+    """Mean (N,) of value (N,) over each dot's neighbours in use, which number (N,); 0 where there are none."""
+    _neighbour_sum(value, near, use, out)
+    for i in range(len(value)):
+        out[i] /= max(number[i], np.float32(1))
+
+
+@compiled
+def _nearest_level(value, group, letter_group, level, letter):
+    """Letter (N,) of each dot's group whose level is nearest to the dot's value (N,)."""
+    least = np.full(len(value), NONE, np.float32)
+    for a in range(len(level)):
+        of_group, here, this = letter_group[a], level[a], np.int32(a)
+        for i in range(len(value)):
+            d = abs(value[i] - here) if group[i] == of_group else NONE
+            letter[i] = this if d < least[i] else letter[i]
+            least[i] = min(d, least[i])
 
 
 @compiled
 def first_levels(signal, group, near, use, letter_group, ranked, share, groups, level, letter, field):
     """Split each hue group into its intensities.
 
-    Deviations from the local mean are ranked and cut in the map's shares, then assignment, levels and field are
-    iterated. ranked (A,) letters, darkest first; writes level (A,), letter (N,), field (N,).
+    Deviations from the local mean are ranked and cut in the map's shares, then letters, levels and field are iterated.
+    ranked (A,) letters, darkest first; writes level (A,), letter (N,), field (N,).
     """
     n = len(signal)
     count = len(level)
+    chosen = sample(use, count)
+    pool = np.empty(len(chosen), np.float32)
+    number = np.empty(n, np.float32)
+    _neighbour_sum(np.ones(n, np.float32), near, use, number)
     middle = np.zeros(groups, np.float32)
-    pool = np.empty(n, np.float32)
     for g in range(groups):
         m = 0
-        for i in range(n):
-            if use[i] and group[i] == g:
-                pool[m] = signal[i]
-                m += 1
+        for i in chosen:
+            pool[m] = signal[i]
+            m += np.int64(group[i] == g)
         middle[g] = quantile(pool[:m], 0.5)
     relative = np.empty(n, np.float32)
     for i in range(n):
         relative[i] = signal[i] - middle[group[i]]
-    _neighbour_mean(relative, near, use, field)
+    _neighbour_mean(relative, near, use, number, field)
     for g in range(groups):
         m = 0
-        for i in range(n):
-            if use[i] and group[i] == g:
-                pool[m] = signal[i] - field[i]
-                m += 1
+        for i in chosen:
+            pool[m] = signal[i] - field[i]
+            m += np.int64(group[i] == g)
         total = 0.0
         for a in range(count):
             if letter_group[a] == g:
@@ -200,25 +231,20 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
             high = low + share[a] / max(total, 1e-9)
             level[a] = quantile(pool[:m], 0.5 * (low + high))
             low = high
-    sums = np.zeros(count)
-    number = np.zeros(count, np.int64)
-    for _ in range(3):
-        sums[:] = 0
-        number[:] = 0
+    sums = np.empty(count)
+    members = np.empty(count, np.int64)
+    for _ in range(ROUNDS):
         for i in range(n):
-            best = np.float32(1e30)
-            for a in range(count):
-                if letter_group[a] == group[i]:
-                    d = abs(signal[i] - field[i] - level[a])
-                    if d < best:
-                        best = d
-                        letter[i] = a
-            if use[i]:
-                sums[letter[i]] += signal[i] - field[i]
-                number[letter[i]] += 1
+            relative[i] = signal[i] - field[i]
+        _nearest_level(relative, group, letter_group, level, letter)
+        sums[:] = 0
+        members[:] = 0
+        for i in chosen:
+            sums[letter[i]] += relative[i]
+            members[letter[i]] += 1
         for a in range(count):
-            if number[a] >= 3:
-                level[a] = sums[a] / number[a]
+            if members[a] >= 3:
+                level[a] = sums[a] / members[a]
         for i in range(n):
             relative[i] = signal[i] - level[letter[i]]
-        _neighbour_mean(relative, near, use, field)
+        _neighbour_mean(relative, near, use, number, field)

@@ -17,7 +17,7 @@ import numpy as np
 from sl_decoder.alphabet import Alphabet
 from sl_decoder.approximation import exponential, logarithm
 from sl_decoder.compiled import compiled
-from sl_decoder.intensity_field import quantile
+from sl_decoder.quantiles import quantile, sample
 
 OUTLIER = 0.04  # share of true dots that fit no hue, over that of false ones
 HUE_FLOOR = 3e-4  # likelihood from which on a hue counts as none of the letters': four sigmas
@@ -25,7 +25,6 @@ LEVEL_RANGE = 4.0  # log signal over which intensities that do not follow the fi
 FIRST_STRAY = 0.1  # share of such dots before anything is decoded
 ANY_PROFILE = 1e3  # spread of the radial kurtosis where all letters have one shape: nothing to tell apart
 BLOCK = 64  # dots that are weighed at once
-MOST_LETTERS = 36  # as many digits as a row of a pattern file has
 
 
 class LetterModel(NamedTuple):
@@ -57,66 +56,89 @@ def letter_evidence(model, colour, profile, signal, field, field_variance, noise
     Some true dots' intensity does not follow the field (next to albedo edges, in highlights: `stray`); their hue still
     counts. False dots stray half of the time. A dot that fits no hue speaks against every letter.
     """
-    count = len(model.level)
-    one, zero = np.float32(1), np.float32(0)
-    broad = np.float32(1 / LEVEL_RANGE)
-    stray = np.float32(model.stray)
+    groups, count = len(model.direction), len(model.level)
     share = np.float32(0.5) / np.float32(count)
-    # one array holds all that a block needs: the compiler then sees that its rows do not overlap
-    w = np.empty((10 + MOST_LETTERS, BLOCK), np.float32)
+    measure = np.empty((7, BLOCK), np.float32)
+    hue = np.empty((groups, BLOCK), np.float32)
+    value = np.empty((count, BLOCK), np.float32)
+    total = np.empty(BLOCK, np.float32)
+    best = np.empty(BLOCK, np.float32)
+    to = np.empty(BLOCK, np.int32)
     for begin in range(0, len(signal), BLOCK):
         m = min(BLOCK, len(signal) - begin)
         for i in range(m):
             j = begin + i
-            w[0, i], w[1, i], w[2, i] = colour[j, 0], colour[j, 1], colour[j, 2]
-            w[3, i] = profile[j]
-            w[4, i] = signal[j] - field[j]
-            w[5, i] = field_variance[j]
-            w[6, i] = noise[j]
-        for i in range(BLOCK):
-            length = max(np.sqrt(w[0, i] * w[0, i] + w[1, i] * w[1, i] + w[2, i] * w[2, i]), np.float32(1e-6))
-            w[0, i] /= length
-            w[1, i] /= length
-            w[2, i] /= length
-            e = w[6, i] / length
-            w[6, i] = e * e
-            w[7, i] = -one  # best value so far
-            w[8, i] = zero  # its letter
-            w[9, i] = np.float32(HUE_FLOOR)  # likelihood of what is not a dot
+            measure[0, i], measure[1, i], measure[2, i] = colour[j, 0], colour[j, 1], colour[j, 2]
+            measure[3, i] = noise[j]
+            measure[4, i] = profile[j]
+            measure[5, i] = signal[j] - field[j]
+            measure[6, i] = field_variance[j]
+        _normalise(measure)
+        for g in range(groups):
+            variance, weight = model.spread[g] * model.spread[g], np.float32(1) / model.profile_spread[g]
+            _weigh_hue(measure, model.direction[g], variance, model.profile[g], weight, hue[g])
+        total[:] = np.float32(HUE_FLOOR)
+        best[:] = np.float32(-1)
+        to[:] = 0
         for k in range(count):
-            g = model.group[k]
-            d0, d1, d2 = model.direction[g, 0], model.direction[g, 1], model.direction[g, 2]
-            angle_variance = model.spread[g] * model.spread[g]
-            shape, shape_weight = model.profile[g], one / model.profile_spread[g]
-            level = model.level[k]
-            level_variance = model.level_spread[k] * model.level_spread[k]
-            this = np.float32(k)
-            row = w[10 + k]
-            for i in range(BLOCK):
-                d = w[0, i] * d0 + w[1, i] * d1 + w[2, i] * d2
-                misfit = np.float32(2) * max(one - d, zero) / (angle_variance + w[6, i])
-                z = (w[3, i] - shape) * shape_weight
-                misfit += z * z if w[3, i] == w[3, i] else zero
-                hue = exponential(np.float32(-0.5) * misfit)
-                e = w[4, i] - level
-                precision = one / np.sqrt(level_variance + w[6, i] + w[5, i])
-                z = e * precision
-                near = np.float32(0.39894) * precision * exponential(np.float32(-0.5) * z * z)
-                w[9, i] += hue * share * (near + broad)
-                v = hue * ((one - stray) * near + stray * broad)
-                row[i] = v
-                # where strays tie, the nearer level is the letter
-                v += np.float32(1e-9) * hue * max(np.float32(64) - e * e, zero)
-                w[8, i] = this if v > w[7, i] else w[8, i]
-                w[7, i] = max(v, w[7, i])
+            variance, stray = model.level_spread[k] * model.level_spread[k], np.float32(model.stray)
+            of_group = hue[model.group[k]]
+            _weigh_level(
+                measure, of_group, np.int32(k), model.level[k], variance, stray, share, value[k], total, best, to
+            )
         for k in range(count):
-            row = w[10 + k]
+            row = value[k]
             for i in range(BLOCK):
-                row[i] = logarithm((row[i] + np.float32(OUTLIER * HUE_FLOOR)) / w[9, i])
+                row[i] = logarithm((row[i] + np.float32(OUTLIER * HUE_FLOOR)) / total[i])
         for i in range(m):
-            letter[begin + i] = np.int32(w[8, i])
+            letter[begin + i] = to[i]
             for k in range(count):
-                out[begin + i, k] = w[10 + k, i]
+                out[begin + i, k] = value[k, i]
+
+
+@compiled
+def _normalise(measure):
+    """Colours of a block (rows 0 to 2 of measure) to unit length, their noise (3) to the variance of the angle."""
+    for i in range(BLOCK):
+        a, b, c = measure[0, i], measure[1, i], measure[2, i]
+        scale = np.float32(1) / max(np.sqrt(a * a + b * b + c * c), np.float32(1e-6))
+        measure[0, i], measure[1, i], measure[2, i] = a * scale, b * scale, c * scale
+        e = measure[3, i] * scale
+        measure[3, i] = e * e
+
+
+@compiled
+def _weigh_hue(measure, direction, angle_variance, profile, profile_weight, out):
+    """Likelihood (BLOCK,) of a group's hue and shape."""
+    d0, d1, d2 = direction[0], direction[1], direction[2]
+    for i in range(BLOCK):
+        d = measure[0, i] * d0 + measure[1, i] * d1 + measure[2, i] * d2
+        misfit = np.float32(2) * max(np.float32(1) - d, np.float32(0)) / (angle_variance + measure[3, i])
+        z = (measure[4, i] - profile) * profile_weight
+        misfit += z * z if z == z else np.float32(0)
+        out[i] = exponential(np.float32(-0.5) * misfit)
+
+
+@compiled
+def _weigh_level(measure, hue, this, level, level_variance, stray, share, out, total, best, letter):
+    """Likelihood out (BLOCK,) of the letter `this`, from that of its hue (BLOCK,) and its level.
+
+    Adds to the total of what is not a dot; best, letter (BLOCK,): the best value so far and its letter.
+    """
+    one, zero = np.float32(1), np.float32(0)
+    broad = np.float32(1 / LEVEL_RANGE)
+    for i in range(BLOCK):
+        e = measure[5, i] - level
+        precision = one / np.sqrt(level_variance + measure[3, i] + measure[6, i])
+        z = e * precision
+        near = np.float32(0.39894) * precision * exponential(np.float32(-0.5) * z * z)
+        total[i] += hue[i] * share * (near + broad)
+        v = hue[i] * ((one - stray) * near + stray * broad)
+        out[i] = v
+        # where strays tie, the nearer level is the letter
+        v += np.float32(1e-9) * hue[i] * max(np.float32(64) - e * e, zero)
+        letter[i] = this if v > best[i] else letter[i]
+        best[i] = max(v, best[i])
 
 
 @compiled
@@ -199,7 +221,7 @@ def mixtures(direction):
 
 @compiled
 def _middle_and_spread(pool, least, most):
-    """Median of pool (N,) and its spread from the median absolute deviation, within [least, most]."""
+    """Median of pool (N,), which is overwritten, and spread from the absolute deviation, within [least, most]."""
     middle = quantile(pool, 0.5)
     for k in range(len(pool)):
         pool[k] = abs(pool[k] - middle)
@@ -220,7 +242,7 @@ def _fit_direction(unit, direction, pool):
         for i in range(n):
             p, q, r = unit[i, 0], unit[i, 1], unit[i, 2]
             d = p * direction[0] + q * direction[1] + r * direction[2]
-            w = np.float32(1) if np.float32(2) * (1 - d) <= limit else np.float32(0)
+            w = np.float32(1) if np.float32(2) * (np.float32(1) - d) <= limit else np.float32(0)
             t0 += w * p
             t1 += w * q
             t2 += w * r
@@ -230,7 +252,7 @@ def _fit_direction(unit, direction, pool):
         direction[0], direction[1], direction[2] = t0 / norm, t1 / norm, t2 / norm
         for i in range(n):
             d = unit[i, 0] * direction[0] + unit[i, 1] * direction[1] + unit[i, 2] * direction[2]
-            pool[i] = np.float32(2) * max(1 - d, np.float32(0))
+            pool[i] = np.float32(2) * max(np.float32(1) - d, np.float32(0))
         spread = np.sqrt(quantile(pool[:n], 0.5) / np.float32(1.39))
         spread = min(max(spread, np.float32(0.02)), np.float32(0.5))
     return spread
@@ -238,46 +260,38 @@ def _fit_direction(unit, direction, pool):
 
 @compiled
 def _fit(model, colour, profile, signal, field, letter, use, several_shapes):
-    """Fit the arrays of a model in place; returns the share of dots off the field."""
-    n = len(signal)
-    pool = np.empty(n, np.float32)
-    unit = np.empty((n, 3), np.float32)
+    """Fit the arrays of a model in place, to a sample; returns the share of dots off the field."""
+    chosen = sample(use, len(model.level))
+    pool = np.empty(len(chosen), np.float32)
+    unit = np.empty((len(chosen), 3), np.float32)
     for g in range(len(model.direction)):
         m = 0
         members = 0
-        for i in range(n):
-            if not use[i] or model.group[letter[i]] != g:
-                continue
+        for i in chosen:
             pool[members] = profile[i]
-            members += 1
             p, q, r = colour[i, 0], colour[i, 1], colour[i, 2]
             norm = np.sqrt(p * p + q * q + r * r)
-            if norm <= 1:
-                continue
             unit[m, 0], unit[m, 1], unit[m, 2] = p / norm, q / norm, r / norm
-            m += 1
+            member = model.group[letter[i]] == g
+            members += np.int64(member)
+            m += np.int64(member and norm > 1)
         if several_shapes and members >= 5:
             model.profile[g], model.profile_spread[g] = _middle_and_spread(pool[:members], 0.01, ANY_PROFILE)
         model.spread[g] = _fit_direction(unit[:m], model.direction[g], pool)
     for a in range(len(model.level)):
         m = 0
-        for i in range(n):
-            if use[i] and letter[i] == a:
-                pool[m] = signal[i] - field[i]
-                m += 1
+        for i in chosen:
+            pool[m] = signal[i] - field[i]
+            m += np.int64(letter[i] == a)
         if m >= 5:
             model.level[a], model.level_spread[a] = _middle_and_spread(pool[:m], 0.03, 0.6)
-    off = 0
-    m = 0
-    for i in range(n):
-        if use[i]:
-            m += 1
-            a = letter[i]
-            if abs(signal[i] - field[i] - model.level[a]) > 4 * model.level_spread[a] + np.float32(0.1):
-                off += 1
-    if m < 50:
+    if len(chosen) < 50:
         return FIRST_STRAY
-    return min(max(1.2 * off / m, 0.02), 0.4)
+    off = 0
+    for i in chosen:
+        a = letter[i]
+        off += abs(signal[i] - field[i] - model.level[a]) > 4 * model.level_spread[a] + np.float32(0.1)
+    return min(max(1.2 * off / len(chosen), 0.02), 0.4)
 
 
 def fit_model(

@@ -15,31 +15,49 @@ import numpy as np
 
 from sl_decoder.alphabet import UPPER_TAIL, Alphabet
 from sl_decoder.compiled import compiled
-from sl_decoder.intensity_field import first_levels, local_field, quantile
+from sl_decoder.intensity_field import first_levels, local_field
 from sl_decoder.letter_model import LetterModel, fit_model, log_signal
+from sl_decoder.quantiles import quantile, sample
 
-
-def channel_gains(alphabet: Alphabet, colour: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """Gains (3,) that the channels of the image have over the drive values, from the upper tails of both."""
-    reference = alphabet.upper
-    gains = np.where(reference > 0.1, np.maximum(upper_tails(colour, use), 1e-3) / np.maximum(reference, 0.1), 0.0)
-    seen = gains > 0
-    gains[~seen] = gains[seen].mean() if seen.any() else 1.0
-    return gains
+CROSSTALK = 0.08  # share of a hue's strongest channel that every channel sees of it, before anything is known
 
 
 @compiled
-def upper_tails(colour, use):
-    """Quantiles (3,) at UPPER_TAIL of the channels of colour (N, 3) over the dots in use (N,) bool."""
-    pool = np.empty(len(colour), np.float32)
-    out = np.empty(3)
+def seen_hues(hue_colour, upper, colour, use, letters):
+    """Unit directions (H, 3) float32 of the hues, from drive values (H, 3) and the gains of the image's channels.
+
+    The gains are those of the channels' upper tails: upper (3,) drive value at UPPER_TAIL of the dots, and the signals
+    at the same quantile of a sample of the dots in use. colour (N, 3); use (N,) bool; letters: their number.
+    """
+    chosen = sample(use, letters)
+    pool = np.empty(len(chosen), np.float32)
+    gain = np.zeros(3)
+    known = 0
     for c in range(3):
-        m = 0
-        for i in range(len(colour)):
-            pool[m] = colour[i, c]
-            m += np.int64(use[i])
-        out[c] = quantile(pool[:m], UPPER_TAIL)
-    return out
+        for s in range(len(chosen)):
+            pool[s] = colour[chosen[s], c]
+        if upper[c] > 0.1:
+            gain[c] = max(quantile(pool, UPPER_TAIL), np.float32(1e-3)) / upper[c]
+            known += 1
+    usual = gain.sum() / known if known > 0 else 1.0
+    direction = np.empty(hue_colour.shape, np.float32)
+    for h in range(len(hue_colour)):
+        seen = hue_colour[h] * np.where(gain > 0, gain, usual)
+        seen += CROSSTALK * seen.max()
+        direction[h] = seen / np.sqrt((seen * seen).sum())
+    return direction
+
+
+@compiled
+def _nearest_hues(unit, direction, cosine, group):
+    """Direction nearest to each unit colour (3, N), and the cosine of the angle between them."""
+    cosine[:] = np.float32(-2)
+    for k in range(len(direction)):
+        d0, d1, d2, this = direction[k, 0], direction[k, 1], direction[k, 2], np.int32(k)
+        for i in range(len(group)):
+            d = unit[0, i] * d0 + unit[1, i] * d1 + unit[2, i] * d2
+            group[i] = this if d > cosine[i] else group[i]
+            cosine[i] = max(d, cosine[i])
 
 
 @compiled
@@ -49,33 +67,26 @@ def assign_hues(colour, use, direction, group):
     Four rounds of k-means by angle; a direction with hardly any dot stays where it is.
     """
     n = len(colour)
-    g = len(direction)
-    unit = np.empty((n, 3), np.float32)
+    one, zero = np.float32(1), np.float32(0)
+    unit = np.empty((3, n), np.float32)
     for i in range(n):
         a, b, c = colour[i, 0], colour[i, 1], colour[i, 2]
-        norm = np.sqrt(a * a + b * b + c * c)
-        scale = np.float32(1) / norm if norm > 0 else np.float32(0)
-        unit[i, 0], unit[i, 1], unit[i, 2] = a * scale, b * scale, c * scale
-    total = np.empty((g, 3))
-    for turn in range(5):
-        total[:] = 0
-        for i in range(n):
-            a, b, c = unit[i, 0], unit[i, 1], unit[i, 2]
-            best = np.float32(-2)
-            to = 0
-            for k in range(g):
-                d = a * direction[k, 0] + b * direction[k, 1] + c * direction[k, 2]
-                to = k if d > best else to
-                best = max(d, best)
-            group[i] = to
-            if use[i] and best > np.float32(0.5):
-                total[to, 0] += a
-                total[to, 1] += b
-                total[to, 2] += c
-        for k in range(g):
-            norm = np.sqrt((total[k] * total[k]).sum())
-            if norm > 3.0 and turn < 4:
-                direction[k] = total[k] / norm
+        scale = one / max(np.sqrt(a * a + b * b + c * c), np.float32(1e-6))
+        unit[0, i], unit[1, i], unit[2, i] = a * scale, b * scale, c * scale
+    cosine = np.empty(n, np.float32)
+    for _ in range(4):
+        _nearest_hues(unit, direction, cosine, group)
+        for k in range(len(direction)):
+            a = b = c = zero
+            for i in range(n):
+                weight = one if group[i] == k and use[i] and cosine[i] > np.float32(0.5) else zero
+                a += weight * unit[0, i]
+                b += weight * unit[1, i]
+                c += weight * unit[2, i]
+            norm = np.sqrt(a * a + b * b + c * c)
+            if norm > 3.0:
+                direction[k, 0], direction[k, 1], direction[k, 2] = a / norm, b / norm, c / norm
+    _nearest_hues(unit, direction, cosine, group)
 
 
 @compiled
@@ -125,13 +136,12 @@ def initial_letters(
     the gains of the image.
     """
     enough = use if np.count_nonzero(use) >= 9 else np.ones_like(use)
-    letter_colour = alphabet.colour * channel_gains(alphabet, colour, enough) if first is None else first
-    hues = int(alphabet.hue.max()) + 1
-    shapes = len(alphabet.profiles)
-    start = np.array([letter_colour[alphabet.hue == h].mean(0) for h in range(hues)])
+    hues, shapes = len(alphabet.hue_colour), len(alphabet.profiles)
     if first is None:
-        start += 0.08 * start.max(1, keepdims=True)  # some crosstalk is everywhere
-    direction = (start / np.linalg.norm(start, axis=1, keepdims=True)).astype(np.float32)
+        direction = seen_hues(alphabet.hue_colour, alphabet.upper, colour, enough, len(alphabet.group))
+    else:
+        direction = np.array([first[alphabet.hue == h].mean(0) for h in range(hues)], np.float32)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     n = len(colour)
     group = np.empty(n, np.int32)
     assign_hues(colour, enough, direction, group)
@@ -146,8 +156,19 @@ def initial_letters(
     letter = np.zeros(n, np.int32)
     field = np.empty(n, np.float32)
     variance = np.empty(n, np.float32)
-    ranked = np.argsort(alphabet.level, kind="stable")
-    first_levels(signal, group, near, use, alphabet.group, ranked, alphabet.share, hues * shapes, level, letter, field)
+    first_levels(
+        signal,
+        group,
+        near,
+        use,
+        alphabet.group,
+        alphabet.ranked,
+        alphabet.share,
+        hues * shapes,
+        level,
+        letter,
+        field,
+    )
     local_field(centre, signal, near, letter, level, use, field, variance)
     model = fit_model(alphabet, colour, profile, signal, field, letter, use, direction, level)
     return letter, model, signal, field, variance
