@@ -24,8 +24,9 @@ class Codebook:
     """The map in axial coordinates and its sorted codes.
 
     lattice; letters (V, U) int8 letter at axial (u + u_offset, v + v_offset), -1 outside of the map; alphabet;
-    codes (M,) int64 sorted; values (M, 3) int32: axial u and v of the window's centre and the orientation, that is the
-    map direction in which the window's direction 0 points.
+    map_codes (D, V, U) int64 code of the window around each element, the map turned by so many directions, -1 where
+    it is not whole; codes (M,) int64 the same, sorted; values (M, 3) int32 where: axial u and v of the window's
+    centre and the orientation, that is the map direction in which the window's direction 0 points.
     """
 
     lattice: Lattice
@@ -33,6 +34,7 @@ class Codebook:
     alphabet: int
     letters: np.ndarray
     v_offset: int
+    map_codes: np.ndarray
     codes: np.ndarray
     values: np.ndarray
     rows: int
@@ -108,10 +110,12 @@ def build_codebook(pattern: Pattern) -> Codebook:
     centre_v, centre_u = np.nonzero(whole)
     seen = stack[:, centre_v, centre_u].astype(np.int64)
     places = pattern.alphabet ** np.arange(1, len(lattice.window), dtype=np.int64)
+    map_codes = np.full((lattice.directions, *letters.shape), -1, np.int64)
     codes, values = [], []
     for k in range(lattice.directions):
         ring = np.roll(seen[1:], -k * lattice.ring_shift, axis=0)
         codes.append(seen[0] + (ring * places[:, None]).sum(0))
+        map_codes[k, centre_v, centre_u] = codes[k]
         values.append(np.stack([centre_u, centre_v, np.full_like(centre_u, k)], 1))
     flat = np.concatenate(codes)
     order = np.argsort(flat, kind="stable")
@@ -121,6 +125,7 @@ def build_codebook(pattern: Pattern) -> Codebook:
         alphabet=pattern.alphabet,
         letters=letters,
         v_offset=v_offset,
+        map_codes=map_codes,
         codes=flat[order],
         values=np.concatenate(values)[order].astype(np.int32),
         rows=rows,

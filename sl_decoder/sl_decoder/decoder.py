@@ -17,7 +17,8 @@ from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
 from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
 from sl_decoder.interpretation import Interpretation
-from sl_decoder.lattice import from_axial, to_axial
+from sl_decoder.lattice import to_axial
+from sl_decoder.listing import correspondences
 from sl_decoder.reasons import explain
 
 SMALLEST_IMAGE = 16  # side [px]
@@ -69,7 +70,7 @@ class Decoder:
                 "calibrate with this pattern"
             )
         self._calibrated = None if colours is None else colours.rgb[:, ::-1].copy()
-        self._projector = pattern.centers.astype(np.float32).reshape(-1, 2)
+        self._projector = np.ascontiguousarray(pattern.centers, np.float32)
         confidence = min(self.options.min_confidence, 1.0 - 1e-6)
         self.limit = max(float(np.log(max(confidence, 1e-6) / (1.0 - confidence))), LEAST_BELIEF)
 
@@ -146,28 +147,33 @@ class Decoder:
         if reading.n < len(book.lattice.window):
             return nothing(blobs=m, rejected=m, decode_time=time.perf_counter() - start)
         reason = explain(reading)
-        element = np.flatnonzero(reading.claim.ravel() >= 0)
-        map_v, map_u = np.divmod(element, book.cols)
-        row, col = from_axial(map_u, map_v - book.v_offset, hexagonal=book.hexagonal)
-        if book.hexagonal:
-            order = np.lexsort((col, row))
-            element, row, col = element[order], row[order], col[order]
-        ids = reading.claim.ravel().take(element)
-        links = np.full((reading.n, book.lattice.directions), -1, np.int32)
-        links[:m] = reading.links
-        belief = reading.belief.ravel().take(element)
+        number = np.bincount(reason, minlength=len(Reason))
+        row, col, camera, projector, confidence, corrected = correspondences(
+            reading.claim,
+            reading.belief,
+            reading.centre,
+            reading.letter,
+            book.letters,
+            book.v_offset,
+            book.hexagonal,
+            self._projector,
+        )
+        links = reading.links
+        if reading.n > m:
+            links = np.full((reading.n, book.lattice.directions), -1, np.int32)
+            links[:m] = reading.links
         return Decoded(
-            row=row.astype(np.int32),
-            col=col.astype(np.int32),
-            camera=reading.centre.take(ids, axis=0),
-            projector=self._projector.take(row * book.cols + col, axis=0),
-            confidence=(1.0 / (1.0 + np.exp(-belief))).astype(np.float32),
-            corrected=(reading.letter.take(ids) != book.letters.ravel().take(element)).astype(np.uint8),
-            track_id=np.full(len(ids), -1, np.int32),
+            row=row,
+            col=col,
+            camera=camera,
+            projector=projector,
+            confidence=confidence,
+            corrected=corrected,
+            track_id=np.full(len(row), -1, np.int32),
             blobs=m,
-            labelled=int((reading.at >= 0).sum()),
-            inconsistent=int((reason == Reason.INCONSISTENT).sum()),
-            rejected=int(((reason != Reason.DECODED) & (reason != Reason.INCONSISTENT)).sum()),
+            labelled=int(np.count_nonzero(reading.at >= 0)),
+            inconsistent=int(number[Reason.INCONSISTENT]),
+            rejected=int(len(reason) - number[Reason.DECODED] - number[Reason.INCONSISTENT]),
             decode_time=time.perf_counter() - start,
             mirrored=reading.mirrored,
             inspection=Inspection(reading.centre[: reading.n], reading.letter[: reading.n], links, reason),

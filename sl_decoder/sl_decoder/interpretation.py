@@ -29,8 +29,8 @@ MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
 NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
 SMOOTHING = 0.375  # px^2 that the mosaic's filter adds to a footprint, beyond what it adds in an image twice as large
-RIM = np.array([0.0, 0.0, 2.0, 2.0], np.float32)  # log-odds asked of a dot beyond the limit, per kind of prediction
-RECOVERED_RIM = 2.5  # and of a recovered dot that has not all its neighbours
+# log-odds asked of a dot beyond the limit, per kind of prediction: of a segmented dot, of a recovered one
+RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
 AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
 CHANCE = 0.03  # share of the dots on lattices that must be decoded: less is chance
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
@@ -52,23 +52,15 @@ class Interpretation:
         self.saturated = _roomy(dots.saturated, room)
         self.cut = dots.cut
         self.profile = dots.profile
-        self.signal = np.zeros(room, np.float32)
-        self.field = np.zeros(room, np.float32)
-        self.variance = np.zeros(room, np.float32)
+        self.signal, self.field, self.variance = np.zeros((3, room), np.float32)
         self.evidence = np.empty((room, book.alphabet), np.float32)
         self.letter = np.zeros(room, np.int32)
-        self.holder_u = np.full(room, -1, np.int32)
-        self.holder_v = np.full(room, -1, np.int32)
-        self.banned_u = np.full(room, -1, np.int32)
-        self.banned_v = np.full(room, -1, np.int32)
+        self.places = np.full((4, room), -1, np.int32)
+        self.holder_u, self.holder_v, self.banned_u, self.banned_v = self.places
         shape = book.letters.shape
         self.claim = np.full(shape, -1, np.int32)
         self.belief = np.full(shape, -20.0, np.float32)
-        self.own = np.zeros(shape, np.float32)
-        self.letter_evidence = np.zeros(shape, np.float32)
-        self.error = np.zeros(shape, np.float32)
-        self.size = np.zeros(shape, np.float32)
-        self.thin = np.zeros(shape, np.float32)
+        self.own, self.letter_evidence, self.error, self.size, self.thin = np.zeros((5, *shape), np.float32)
         self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
         self.model: LetterModel | None = None
         self.accepted = 0
@@ -111,8 +103,6 @@ class Interpretation:
         self.at = np.zeros(n, np.int32)
         self.conflicts = np.zeros(n, np.bool_)
         self.cut = np.zeros(n, np.bool_)
-        self.banned_u[:] = -1
-        self.banned_v[:] = -1
 
     def read_letters(self, first: NDArray[np.float64] | None = None) -> None:
         """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
@@ -169,14 +159,14 @@ class Interpretation:
         free = (self.holder_v[:n] < 0) & ~self.mirrored_dots
         at, conflicts = self.at, self.conflicts
         linked = (self.links >= 0) & free[self.links] & free[:, None]
-        held = (self.claim.copy(), self.holder_u.copy(), self.holder_v.copy())
+        held, holders = self.claim.copy(), self.places[:2].copy()
         self._lay_out(np.where(linked, self.links, -1), np.where(free, self.quality, np.float32(np.inf)))
         self.place(NEXT_EVIDENCE)
-        found = (self.claim >= 0) & (held[0] < 0)
+        found = (self.claim >= 0) & (held < 0)
         dots = self.claim[found]
-        held[0][found] = dots
-        held[1][dots], held[2][dots] = self.holder_u[dots], self.holder_v[dots]
-        self.claim, self.holder_u, self.holder_v = held
+        held[found] = dots
+        holders[:, dots] = self.places[:2, dots]
+        self.claim, self.places[:2] = held, holders
         self.at = np.where(self.at >= 0, self.at, at)  # for the reasons only
         self.conflicts &= conflicts
         return len(dots)
@@ -186,12 +176,12 @@ class Interpretation:
         book = self.book
         lattice = book.lattice
         self.claim[:] = -1
-        self.holder_u[:] = -1
-        self.holder_v[:] = -1
-        votes, self.code = placement.window_votes(
+        self.places[:] = -1
+        votes = placement.window_votes(
             self.cell,
             self.at,
             self.width,
+            self.component,
             self.u,
             self.v,
             self.letter,
@@ -199,6 +189,7 @@ class Interpretation:
             book.alphabet,
             book.codes,
             book.values,
+            book.map_codes,
             lattice.turn,
         )
         found, of = placement.rank_placements(votes, self.component, 1)
@@ -209,7 +200,6 @@ class Interpretation:
             self.cell,
             self.at,
             self.width,
-            self.component,
             self.u,
             self.v,
             self.evidence,
@@ -225,8 +215,6 @@ class Interpretation:
             self.holder_u,
             self.holder_v,
         )
-        self.banned_u[:] = -1
-        self.banned_v[:] = -1
         return self.accepted
 
     def refuse_mirrored(self) -> bool:
@@ -241,10 +229,11 @@ class Interpretation:
         mu, mv = mirrored(self.u, self.v, hexagonal=book.hexagonal)
         best = []
         for window, u, v in ((lattice.window, self.u, self.v), (np.stack([du, dv], 1).astype(np.int32), mu, mv)):
-            votes, _ = placement.window_votes(
+            votes = placement.window_votes(
                 self.cell,
                 self.at,
                 self.width,
+                self.component,
                 u,
                 v,
                 self.letter,
@@ -252,6 +241,7 @@ class Interpretation:
                 book.alphabet,
                 book.codes,
                 book.values,
+                book.map_codes,
                 lattice.turn,
             )
             found, _ = placement.rank_placements(votes, self.component, 1)
@@ -318,7 +308,7 @@ class Interpretation:
 
     def decoded(self) -> int:
         """Number of decoded dots."""
-        return int((self.claim >= 0).sum())
+        return np.count_nonzero(self.claim >= 0)
 
     def explained(self) -> float:
         """Decoded dots per segmented blob."""
@@ -348,13 +338,17 @@ class Interpretation:
         Where a dot has no neighbours on one side, half a dot of its letter is what it is most easily taken for: there
         more than `limit` is asked. Lattices of which next to nothing agrees with the map are another pattern's.
         """
-        asked = limit + RIM[self.kind] + RECOVERED_RIM * ((self.claim >= self.segmented) & (self.kind > growth.FULL))
-        self._release((self.claim >= 0) & (self.belief < asked))
-        cut = np.flatnonzero(self.cut & (self.holder_v[: self.segmented] >= 0))
-        self.claim[self.holder_v[cut], self.holder_u[cut]] = -1
-        self.holder_v[cut] = -1
-        self.holder_u[cut] = -1
-        if self.decoded() < CHANCE * int((self.at >= 0).sum()):
+        held = judgement.release_doubtful(
+            self.claim,
+            self.belief,
+            self.kind,
+            self.segmented,
+            self.cut,
+            np.float32(limit) + RIM,
+            self.holder_u,
+            self.holder_v,
+        )
+        if held < CHANCE * np.count_nonzero(self.at >= 0):
             self._release(self.claim >= 0)
 
     def _release(self, elements: NDArray[np.bool_]) -> None:
@@ -367,7 +361,7 @@ class Interpretation:
         """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""
         on_lattice = self.at >= 0
         decoded = (self.holder_v[: self.segmented] >= 0) & on_lattice
-        return int(decoded.sum()) >= COMPLETE * int(on_lattice.sum())
+        return np.count_nonzero(decoded) >= COMPLETE * np.count_nonzero(on_lattice)
 
     def refit(self) -> None:
         """Fit the letter model to the decoded dots, and weigh all letters again."""

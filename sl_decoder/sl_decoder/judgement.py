@@ -233,6 +233,29 @@ def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):
 
 
 @compiled
+def release_doubtful(claim, belief, kind_of, segmented, cut, asked, holder_u, holder_v):
+    """Release held elements whose belief is below what is asked, and dots that are cut; returns how many are left.
+
+    asked (2, 4) float32: log-odds per kind of prediction, of segmented dots and of those from number `segmented` on,
+    which were recovered; cut (N,) bool of the segmented dots.
+    """
+    held = 0
+    for v in range(claim.shape[0]):
+        for u in range(claim.shape[1]):
+            i = claim[v, u]
+            if i < 0:
+                continue
+            recovered = i >= segmented
+            if belief[v, u] < asked[np.int64(recovered), kind_of[v, u]] or (not recovered and cut[i]):
+                holder_u[i] = -1
+                holder_v[i] = -1
+                claim[v, u] = -1
+            else:
+                held += 1
+    return held
+
+
+@compiled
 def solve(claim, own, window, belief):
     """Beliefs (V, U): log-odds that each held element is right, own evidence and neighbours'.
 

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from sl_decoder.approximation import tangent
 from sl_decoder.codebook import code_at, find_code
 from sl_decoder.compiled import compiled
 
 COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
 SWEEPS = 6
+OUTSIDE = np.float32(-0.5)  # label, from -1 to 1, of the dots beyond the region in question
 
 
 @compiled
@@ -78,24 +80,31 @@ def lay_out(component, u, v, conflicts, count, smallest):
 
 
 @compiled
-def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values, turn):
+def window_votes(cell, at, width, component, u, v, letter, window, alphabet, codes, values, map_codes, turn):
     """Look every whole window up.
 
-    Returns votes (V, 5) int32: dot at the centre, orientation k, shift u, shift v (map = turn[k] @ (u, v) + shift) and
-    code (N,) int64 of the dot's window, -1 where it is not whole.
+    Returns votes (V, 4) int32: dot at the centre, orientation k, shift u, shift v (map = turn[k] @ (u, v) + shift).
+    A window is first compared with the map where the last vote of its component puts it: mostly it is that one.
     """
     n = len(at)
     votes = np.empty((2 * n + 16, 4), np.int32)
-    code_of = np.full(n, -1, np.int64)
+    last = np.full(n, -1, np.int32)  # vote of each component
     member = np.empty(len(window), np.int32)
     m = 0
     for i in range(n):
-        if at[i] < 0:
+        if at[i] < 0 or m == len(votes):
             continue
         code = code_at(cell, at[i], width[i], letter, window, alphabet, member)
         if code < 0:
             continue
-        code_of[i] = code
+        before = last[component[i]]
+        if before >= 0:
+            mu, mv = on_map(votes[before, 1:], u[i], v[i], turn)
+            if is_inside(mu, mv, map_codes[0]) and map_codes[votes[before, 1], mv, mu] == code:
+                votes[m, 0] = i
+                votes[m, 1:] = votes[before, 1:]
+                m += 1
+                continue
         f = find_code(codes, code)
         while 0 <= f < len(codes) and codes[f] == code and m < len(votes):
             k = values[f, 2]
@@ -103,9 +112,23 @@ def window_votes(cell, at, width, u, v, letter, window, alphabet, codes, values,
             votes[m, 1] = k
             votes[m, 2] = values[f, 0] - (turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i])
             votes[m, 3] = values[f, 1] - (turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i])
+            last[component[i]] = m
             m += 1
             f += 1
-    return votes[:m], code_of
+    return votes[:m]
+
+
+@compiled
+def on_map(placement, u, v, turn):
+    """Map coordinates of lattice coordinates under a placement: orientation k, shift u, shift v."""
+    k = placement[0]
+    return turn[k, 0, 0] * u + turn[k, 0, 1] * v + placement[1], turn[k, 1, 0] * u + turn[k, 1, 1] * v + placement[2]
+
+
+@compiled
+def is_inside(mu, mv, element):
+    """Whether map coordinates lie inside of an array of the map's elements (V, U)."""
+    return 0 <= mv < element.shape[0] and 0 <= mu < element.shape[1]
 
 
 @compiled
@@ -157,7 +180,6 @@ def solve_placement(
     cell,
     at,
     width,
-    component,
     u,
     v,
     log_p,
@@ -167,23 +189,22 @@ def solve_placement(
     coupling,
     sweeps,
     belief,
+    label,
     work,
     members,
 ):
     """Log-odds that each dot of the component belongs to a placement, by mean-field over the lattice.
 
     Starts from the windows that voted and grows outwards over the lattice; belief (N,) float32 is written for the
-    returned number of `members`.
+    returned number of `members`. work (N,), label (N + 1,): work space, 0 and OUTSIDE (last: 0) before and after.
     """
-    k = placement[1]
-    rows, cols = map_letters.shape
-    size = len(window)
+    around = window[:, 1] * width[voters[0]] + window[:, 0]
     count = 0
     # region: flood from the voters while the letters agree on balance
     for s in range(len(voters)):
-        i = voters[s]
-        for p in range(size):
-            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+        here = at[voters[s]]
+        for step in around:
+            j = cell[here + step]
             if work[j] == 0:
                 work[j] = 1
                 members[count] = j
@@ -192,45 +213,39 @@ def solve_placement(
     while head < count:
         i = members[head]
         head += 1
-        mu = turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i] + placement[2]
-        mv = turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i] + placement[3]
-        if mu < 0 or mv < 0 or mu >= cols or mv >= rows or map_letters[mv, mu] < 0:
+        mu, mv = on_map(placement[1:4], u[i], v[i], turn)
+        if not is_inside(mu, mv, map_letters) or map_letters[mv, mu] < 0:
             belief[i] = -20.0
             continue
         belief[i] = log_p[i, map_letters[mv, mu]]
         if belief[i] < -0.5:
             continue
-        for p in range(1, size):
-            j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
+        for step in around[1:]:
+            j = cell[at[i] + step]
             if j >= 0 and work[j] == 0:
                 work[j] = 1
                 members[count] = j
                 count += 1
     own = belief[members[:count]].copy()
     for s in range(count):
-        work[members[s]] = s + 1
-    q = np.empty(count, np.float32)
-    for s in range(count):
-        q[s] = np.tanh(0.5 * max(-4.0, min(4.0, own[s] * 2.0)))
+        label[members[s]] = tangent(own[s])
     for _ in range(sweeps):
         moved = np.float32(0)
         for s in range(count):
             i = members[s]
-            total = 0.0
-            for p in range(1, size):
-                j = cell[at[i] + window[p, 1] * width[i] + window[p, 0]]
-                if j >= 0:
-                    r = work[j] - 1
-                    total += q[r] if r >= 0 else -0.5
-            b = own[s] + coupling * total
-            belief[i] = b
-            t = np.float32(np.tanh(0.5 * b))
-            moved = max(moved, abs(t - q[s]))
-            q[s] = t
-        if moved < 0.05:
+            total = np.float32(0)
+            here = at[i]
+            for step in around[1:]:
+                total += label[cell[here + step]]  # -1, no dot: the last, zero
+            belief[i] = own[s] + np.float32(coupling) * total
+            t = tangent(np.float32(0.5) * belief[i])
+            moved = max(moved, abs(t - label[i]))
+            label[i] = t
+        if moved < np.float32(0.05):
             break
     for s in range(count):
         work[members[s]] = 0
+        label[members[s]] = OUTSIDE
     return count, own
 
 
@@ -242,7 +257,6 @@ def place(
     cell,
     at,
     width,
-    component,
     u,
     v,
     log_p,
@@ -266,6 +280,8 @@ def place(
     """
     n = len(at)
     belief = np.empty(n, np.float32)
+    label = np.full(n + 1, OUTSIDE, np.float32)
+    label[n] = 0
     work = np.zeros(n, np.int32)
     members = np.empty(n + 16, np.int32)
     strength = np.full(n, -1e9, np.float32)
@@ -300,7 +316,6 @@ def place(
             cell,
             at,
             width,
-            component,
             u,
             v,
             log_p,
@@ -310,6 +325,7 @@ def place(
             coupling,
             sweeps,
             belief,
+            label,
             work,
             members,
         )
@@ -321,13 +337,11 @@ def place(
             continue
         accepted += 1
         evidence += total
-        k = found[p, 1]
         for s in range(count):
             i = members[s]
             if belief[i] <= least_belief:
                 continue
-            mu = turn[k, 0, 0] * u[i] + turn[k, 0, 1] * v[i] + found[p, 2]
-            mv = turn[k, 1, 0] * u[i] + turn[k, 1, 1] * v[i] + found[p, 3]
+            mu, mv = on_map(found[p, 1:4], u[i], v[i], turn)
             mine = min(belief[i], np.float32(total))
             if holder_v[i] >= 0:
                 continue

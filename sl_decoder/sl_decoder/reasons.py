@@ -1,10 +1,14 @@
 """Why each blob of an image did, or did not, become a correspondence."""
 
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
+
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sl_decoder.compiled import compiled
 from sl_decoder.decoded import Reason
 from sl_decoder.interpretation import Interpretation
 
@@ -19,30 +23,54 @@ def explain(reading: Interpretation) -> NDArray[np.uint8]:
     The first that applies: decoded, mirrored, improbable, saturated, too small, inconsistent, no neighbours; what
     remains has a whole lattice around it and still no place in the map.
     """
-    n, m = reading.n, reading.segmented
-    reason = np.full(n, Reason.DECODED, np.uint8)
-    reason[:m] = Reason.UNKNOWN_CODE
-    reason[:m][reading.at < 0] = Reason.NO_NEIGHBOURS
-    reason[:m][reading.conflicts] = Reason.INCONSISTENT
-    held = reading.holder_v[:n] >= 0
-    reason[:m][_too_small(reading, held[:m])] = Reason.TOO_SMALL
-    reason[reading.saturated[:n] > SATURATED_SHARE] = Reason.SATURATED
-    reason[reading.banned_v[:n] >= 0] = Reason.IMPROBABLE
-    if reading.mirrored:
-        reason[:m][reading.mirrored_dots] = Reason.MIRRORED
-    reason[held] = Reason.DECODED
+    return _explain(
+        reading.n,
+        reading.segmented,
+        reading.holder_v,
+        reading.banned_v,
+        reading.mirrored_dots,
+        reading.saturated,
+        reading.area,
+        reading.near,
+        reading.conflicts,
+        reading.at,
+    )
+
+
+@compiled
+def _explain(n, segmented, holder_v, banned_v, mirrored, saturated, area, near, conflicts, at):
+    reason = np.empty(n, np.uint8)
+    for i in range(n):
+        if holder_v[i] >= 0:
+            reason[i] = Reason.DECODED
+        elif i < segmented and mirrored[i]:
+            reason[i] = Reason.MIRRORED
+        elif i >= segmented or banned_v[i] >= 0:
+            reason[i] = Reason.IMPROBABLE
+        elif saturated[i] > SATURATED_SHARE:
+            reason[i] = Reason.SATURATED
+        elif _too_small(i, area, near, holder_v):
+            reason[i] = Reason.TOO_SMALL
+        elif conflicts[i]:
+            reason[i] = Reason.INCONSISTENT
+        elif at[i] < 0:
+            reason[i] = Reason.NO_NEIGHBOURS
+        else:
+            reason[i] = Reason.UNKNOWN_CODE
     return reason
 
 
-def _too_small(reading: Interpretation, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Blobs (M,) bool that are too small to be dots of the lattice around them, or of any."""
-    area = reading.area[: len(held)]
-    small = area < SMALLEST_CORE
-    free = np.flatnonzero(~held & ~small)
-    if len(free) and len(reading.near):
-        near = reading.near[free]
-        decoded = (near >= 0) & held[near]
-        number = decoded.sum(1)
-        mean = np.where(decoded, area[near], 0).sum(1) / np.maximum(number, 1)
-        small[free[(number > 0) & (area[free] < SMALL_SHARE * mean)]] = True
-    return small
+@compiled
+def _too_small(i, area, near, holder_v):
+    """Whether a blob is too small to be a dot of the lattice around it, or of any."""
+    if area[i] < SMALLEST_CORE:
+        return True
+    if i >= len(near):
+        return False
+    total = 0
+    number = 0
+    for j in near[i]:
+        if j >= 0 and holder_v[j] >= 0:
+            total += area[j]
+            number += 1
+    return number > 0 and area[i] * number < SMALL_SHARE * total
