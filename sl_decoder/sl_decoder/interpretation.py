@@ -308,7 +308,7 @@ class Interpretation:
 
     def decoded(self) -> int:
         """Number of decoded dots."""
-        return np.count_nonzero(self.claim >= 0)
+        return int(np.count_nonzero(self.claim >= 0))
 
     def explained(self) -> float:
         """Decoded dots per segmented blob."""
@@ -361,7 +361,7 @@ class Interpretation:
         """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""
         on_lattice = self.at >= 0
         decoded = (self.holder_v[: self.segmented] >= 0) & on_lattice
-        return np.count_nonzero(decoded) >= COMPLETE * np.count_nonzero(on_lattice)
+        return int(np.count_nonzero(decoded)) >= COMPLETE * int(np.count_nonzero(on_lattice))
 
     def refit(self) -> None:
         """Fit the letter model to the decoded dots, and weigh all letters again."""
