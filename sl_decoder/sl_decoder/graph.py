@@ -25,6 +25,11 @@ NEIGHBOURS = 16  # candidates looked at around each dot
 BLUR = 0.3  # variance that the image's filter and the optics add to a footprint's core [px^2]
 BLUR_MOST = 0.6  # but no more than this share of its narrow side
 TOLERANCE = 0.30  # a neighbour lies this close to its prediction, in units of the local lattice spacing
+WIDEST = 0.814  # cosine of the angle (35 degrees) by which a basis may differ from the ideal one
+LONGEST = 2.2  # times the length of its first vector that the second of a basis may have
+BEYOND = np.float32(1e9)  # where no candidate is
+NOBODY = np.int32(0x7FFFFFFF)  # a key beyond those of all candidates
+LAST = np.int32(NEIGHBOURS - 1)  # bits of a key that number the candidate
 
 
 @dataclass(frozen=True)
@@ -79,79 +84,66 @@ def smooth_shapes(covariance, near, blur_most):
 
 @compiled
 def local_bases(points, shape, near, directions, tolerance, links, quality):
-    """Lattice neighbours of every dot: links (N, D) int32, quality (N,) float32 (sum of squared errors, inf none)."""
-    n, k = near.shape
+    """Lattice neighbours of every dot: links (N, D) int32, quality (N,) float32 (sum of squared errors, inf none).
+
+    near (N, NEIGHBOURS) int32 or -1. Vectors to the candidates are taken in the metric of the footprints, and looked up
+    by keys: the squared length (positive floats keep their order as integers) with the candidate in the lowest bits.
+    """
+    n = len(near)
+    k = min(near.shape[1], NEIGHBOURS)
     dx = np.empty(k, np.float32)
     dy = np.empty(k, np.float32)
-    rr = np.empty(k, np.float32)
-    order = np.empty(k, np.int32)
+    length = np.empty(k, np.int32)
+    beside = np.empty(k, np.int32)
     chosen = np.empty(6, np.int32)
     cosine_ideal = np.float32(np.cos(2.0 * np.pi / directions))
     sine_ideal = np.float32(np.sin(2.0 * np.pi / directions))
     for i in range(n):
-        for d in range(directions):
-            links[i, d] = -1
+        links[i] = -1
         quality[i] = np.inf
         # whitening by the inverse square root of the shape (unit determinant): (S^-1 + I) / sqrt(tr S + 2)
         a, b, c = shape[i, 0], shape[i, 1], shape[i, 2]
         t = np.float32(1) / np.sqrt(a + c + np.float32(2))
-        wxx, wxy, wyy = (c + 1) * t, -b * t, (a + 1) * t
-        m = 0
+        wxx, wxy, wyy = (c + np.float32(1)) * t, -b * t, (a + np.float32(1)) * t
         px, py = points[i, 0], points[i, 1]
         for q in range(k):
-            j = near[i, q]
-            if j < 0:
-                break
-            ex = points[j, 0] - px
-            ey = points[j, 1] - py
-            fx = wxx * ex + wxy * ey
-            fy = wxy * ex + wyy * ey
-            r = fx * fx + fy * fy
-            p = m
-            while p > 0 and rr[p - 1] > r:
-                rr[p], dx[p], dy[p], order[p] = rr[p - 1], dx[p - 1], dy[p - 1], order[p - 1]
-                p -= 1
-            rr[p], dx[p], dy[p], order[p] = r, fx, fy, j
-            m += 1
-        best = np.float32(np.inf)
+            j = max(near[i, q], 0)
+            ex, ey = points[j, 0] - px, points[j, 1] - py
+            dx[q] = wxx * ex + wxy * ey if near[i, q] >= 0 else BEYOND
+            dy[q] = wxy * ex + wyy * ey
+            length[q] = _key(dx[q] * dx[q] + dy[q] * dy[q], q)
+        best = shortest = np.float32(np.inf)
+        first = np.int32(-1)
         done = False
-        for ia in range(min(m, 4)):
-            if done or rr[ia] > 4 * rr[0]:
-                break
+        for turn in range(4):
+            first = _next(length, first)
+            ia = first & LAST
             ax, ay = dx[ia], dy[ia]
-            la2 = rr[ia]
-            tried = 0
-            for ib in range(m):
-                if ib == ia:
-                    continue
-                lb2 = rr[ib]
-                if lb2 > np.float32(4.84) * la2:
+            la2 = ax * ax + ay * ay
+            shortest = min(shortest, la2)
+            if done or la2 > np.float32(4) * shortest or la2 >= BEYOND:
+                break
+            for q in range(k):
+                cross = ax * dy[q] - ay * dx[q]
+                toward = cosine_ideal * (ax * dx[q] + ay * dy[q]) + sine_ideal * cross
+                lb2 = dx[q] * dx[q] + dy[q] * dy[q]
+                fits = (cross > 0) & (toward > 0) & (toward * toward >= np.float32(WIDEST * WIDEST) * la2 * lb2)
+                beside[q] = length[q] if fits & (lb2 <= np.float32(LONGEST * LONGEST) * la2) else NOBODY
+            second = np.int32(-1)
+            for _ in range(3):
+                second = _next(beside, second)
+                if second == NOBODY:
                     break
-                cross = ax * dy[ib] - ay * dx[ib]
-                if cross <= 0:
-                    continue
-                dot = ax * dx[ib] + ay * dy[ib]
-                # within 35 degrees of the ideal angle: cosine of the difference
-                cosine = (cosine_ideal * dot + sine_ideal * cross) / np.sqrt(la2 * lb2)
-                if cosine < np.float32(0.814):
-                    continue
-                tried += 1
-                if tried > 3:
-                    break
+                ib = second & LAST
                 bx, by = dx[ib], dy[ib]
-                limit2 = tolerance * tolerance * min(la2, lb2)
+                lb2 = bx * bx + by * by
+                limit2 = np.float32(tolerance * tolerance) * min(la2, lb2)
+                chosen[0], chosen[1] = ia, ib
                 missing = 0
                 error = np.float32(0)
-                for d in range(directions):
-                    if d == 0:
-                        chosen[0] = ia
-                        continue
-                    if d == 1:
-                        chosen[1] = ib
-                        continue
+                for d in range(2, directions):
                     if directions == 4:
-                        ex = -ax if d == 2 else -bx
-                        ey = -ay if d == 2 else -by
+                        ex, ey = (-ax, -ay) if d == 2 else (-bx, -by)
                     elif d == 2:
                         ex, ey = bx - ax, by - ay
                     elif d == 3:
@@ -160,94 +152,117 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):
                         ex, ey = -bx, -by
                     else:
                         ex, ey = ax - bx, ay - by
-                    e = limit2
-                    to = -1
-                    for j in range(m):
-                        fx = dx[j] - ex
-                        fy = dy[j] - ey
-                        r = fx * fx + fy * fy
-                        if r < e:
-                            e = r
-                            to = j
-                    chosen[d] = to
-                    error += e
-                    if to < 0:
-                        missing += 1
+                    to = _closest(dx, dy, ex, ey)
+                    fx, fy = dx[to] - ex, dy[to] - ey
+                    e = fx * fx + fy * fy
+                    chosen[d] = to if e < limit2 else -1
+                    error += min(e, limit2)
+                    missing += e >= limit2
                 if missing > directions // 2 - 1:
                     continue
                 # small cells, small errors, round cells first
-                score = (la2 + lb2) / rr[0] * (1 + error / limit2) * (1 + 2 * (1 - cosine)) + 4 * missing
+                cosine = (cosine_ideal * (ax * bx + ay * by) + sine_ideal * (ax * by - ay * bx)) / np.sqrt(la2 * lb2)
+                score = (la2 + lb2) / shortest * (1 + error / limit2) * (1 + 2 * (1 - cosine)) + 4 * missing
                 if score < best:
                     best = score
                     quality[i] = score
                     for d in range(directions):
-                        links[i, d] = -1 if chosen[d] < 0 else order[chosen[d]]
-                if (
-                    missing == 0
-                    and ia == 0
-                    and lb2 < 2 * la2
-                    and error < np.float32(0.5) * limit2
-                    and cosine > np.float32(0.95)
-                ):
+                        links[i, d] = -1 if chosen[d] < 0 else near[i, chosen[d]]
+                good = cosine > np.float32(0.95) and error < np.float32(0.5) * limit2
+                if good and missing == 0 and turn == 0 and lb2 < 2 * la2:
                     done = True
                     break
 
 
 @compiled
+def _key(squared, q):
+    """Key (int32) of candidate q at a squared distance (float32)."""
+    return np.int32((np.float32(squared).view(np.int32) & ~LAST) | q)
+
+
+@compiled
+def _next(keys, before):
+    """Least of keys (NEIGHBOURS,) int32 above `before`, or NOBODY: one after the other, they come in order."""
+    after = before + np.int32(1)
+    least = np.uint32(NOBODY - after)
+    for q in range(min(len(keys), NEIGHBOURS)):
+        ahead = np.uint32(keys[q] - after)  # huge for those that have been
+        least = ahead if ahead < least else least
+    return np.int32(least + after)
+
+
+@compiled
+def _closest(dx, dy, x, y):
+    """Which of the vectors (dx, dy), (NEIGHBOURS,) float32 each, is closest to (x, y)."""
+    least = NOBODY
+    for q in range(min(len(dx), NEIGHBOURS)):
+        key = _key((dx[q] - x) * (dx[q] - x) + (dy[q] - y) * (dy[q] - y), q)
+        least = key if key < least else least
+    return least & LAST
+
+
+@compiled
 def components(links, quality, steps, component, frame, u, v):
-    """Follow links from the best dots on; returns the number of components.
+    """Follow links from the best dots on; returns the number of components, and which dots are in conflict (N,) bool.
 
     A link is followed where both ends agree (or where the far end has no basis of its own); a dot that is reached
     with two different coordinates is left out of the graph.
     """
-    n, directions = links.shape
-    half = directions // 2
-    for i in range(n):
-        component[i] = -1
+    n = len(links)
+    component[:] = -1
     conflicts = np.zeros(n, np.bool_)
     queue = np.empty(n, np.int32)
-    start = np.argsort(quality)
-    count = 0
-    for s in range(n):
-        seed = start[s]
-        if component[seed] >= 0 or not np.isfinite(quality[seed]):
-            continue
-        component[seed] = count
-        frame[seed] = 0
-        u[seed] = 0
-        v[seed] = 0
-        head, tail = 0, 1
-        queue[0] = seed
-        while head < tail:
-            i = queue[head]
-            head += 1
-            if not np.isfinite(quality[i]):
-                continue
-            for d in range(directions):
-                j = links[i, d]
-                if j < 0:
-                    continue
-                world = (d + frame[i]) % directions
-                if np.isfinite(quality[j]):
-                    back = -1
-                    for e in range(directions):
-                        if links[j, e] == i:
-                            back = e
-                    if back < 0:
-                        continue
-                    f = (world + half - back) % directions
-                else:
-                    f = -1
-                nu = u[i] + steps[world, 0]
-                nv = v[i] + steps[world, 1]
-                if component[j] < 0:
-                    component[j] = count
-                    frame[j] = f if f >= 0 else 0
-                    u[j] = nu
-                    v[j] = nv
-                    queue[tail] = j
-                    tail += 1
-                elif component[j] == count and (u[j] != nu or v[j] != nv or (f >= 0 and frame[j] != f)):
-                    conflicts[j] = True
-        count += 1
+    if n == 0:
+        return 0, conflicts
+    # what the best dot of all is not connected with is mostly little: only that is sorted
+    _follow(np.argmin(quality), 0, links, quality, steps, component, frame, u, v, conflicts, queue)
+    rest = np.flatnonzero((component < 0) & (quality < np.inf))
+    count = 1
+    for seed in rest[np.argsort(quality[rest])]:
+        if component[seed] < 0:
+            _follow(seed, count, links, quality, steps, component, frame, u, v, conflicts, queue)
+            count += 1
     return count, conflicts
+
+
+@compiled
+def _follow(seed, number, links, quality, steps, component, frame, u, v, conflicts, queue):
+    """Give the dots that are connected with `seed` the component `number`."""
+    directions = links.shape[1]
+    half = directions // 2
+    component[seed] = number
+    frame[seed] = u[seed] = v[seed] = 0
+    head, tail = 0, 1
+    queue[0] = seed
+    while head < tail:
+        i = queue[head]
+        head += 1
+        if quality[i] == np.inf:
+            continue
+        for d in range(directions):
+            j = links[i, d]
+            if j < 0:
+                continue
+            world = d + frame[i]
+            world -= directions if world >= directions else 0
+            f = -1
+            if quality[j] < np.inf:
+                back = -1
+                for e in range(directions):
+                    back = e if links[j, e] == i else back
+                if back < 0:
+                    continue
+                f = world + half - back
+                f += directions if f < 0 else 0
+                f -= directions if f >= directions else 0
+            nu = u[i] + steps[world, 0]
+            nv = v[i] + steps[world, 1]
+            if component[j] < 0:
+                component[j] = number
+                frame[j] = max(f, 0)
+                u[j] = nu
+                v[j] = nv
+                queue[tail] = j
+                tail += 1
+            elif component[j] == number and (u[j] != nu or v[j] != nv or (f >= 0 and frame[j] != f)):
+                conflicts[j] = True

@@ -10,11 +10,11 @@ import numpy as np
 from sl_decoder.compiled import compiled
 
 PER_CELL = 5.5  # points in a cell on average: three by three of them hold sixteen nearest neighbours of a lattice's dot
-LANES = 16  # candidates that are compared at once
-MOST_RANKED = 96  # candidates up to which all are compared with all
-SPARE = 12  # candidates beyond the number wanted that are ranked with them
-FAR = np.float32(3e38)
-FURTHEST = np.int32(0x7F7FFFFF)  # of the keys
+MOST = 16  # neighbours that can be found
+LANES = 8  # points of a cell whose neighbours are found side by side
+X, Y, SELF = MOST * LANES, (MOST + 1) * LANES, (MOST + 2) * LANES  # where the lanes' points and their numbers are
+NOBODY = np.int32(0x7F7FFFFF)  # a key beyond those of all candidates
+FAR = np.float32(1e18)  # a distance whose square is a number still
 
 
 @compiled
@@ -43,9 +43,9 @@ def _buckets(points, x0, y0, scale, nx, ny):
 
 @compiled
 def nearest(points, k):
-    """Indices (N, k) int32 of the k nearest other points of points (N, 2) float32, by distance.
+    """Indices (N, k) int32 of the k <= MOST nearest other points of points (N, 2) float32, by distance.
 
-    -1 where there are fewer.
+    -1 where there are fewer. Of points whose distances differ by less than 1 in 10,000 any may come first.
     """
     n = len(points)
     out = np.full((n, k), -1, np.int32)
@@ -58,120 +58,81 @@ def nearest(points, k):
     nx = int((x1 - x0) * scale) + 1
     ny = int((y1 - y0) * scale) + 1
     begin, members, xs, ys = _buckets(points, x0, y0, scale, nx, ny)
-    key = np.empty(n + LANES, np.int32)  # squared distances as integers: positive floats keep their order
-    candidate = np.empty(n + LANES, np.int32)
-    rank = np.empty(n + LANES, np.int32)
-    chosen = np.empty(k, np.int32)
-    within = np.float32(FAR)  # squared distance within which the neighbours of the last point lay
-    for s in range(n):
-        px, py = xs[s], ys[s]
-        cx, cy = int((px - x0) * scale), int((py - y0) * scale)
+    place = np.empty(n, np.int32)
+    around = np.empty((2, n), np.float32)
+    lists = np.empty((MOST + 3) * LANES, np.int32)
+    for c in range(nx * ny):
+        first, last = begin[c], begin[c + 1]
+        cx, cy = c % nx, c // nx
         ring = 1
-        while True:
-            left, right, top, bottom = cx - ring, cx + ring, cy - ring, cy + ring
-            # nothing outside of what is searched can be nearer than its border; beyond the outermost cells is nothing
-            gap = FAR
-            if left > 0:
-                gap = min(gap, px - x0 - np.float32(left) * cell)
-            if right < nx - 1:
-                gap = min(gap, x0 + np.float32(right + 1) * cell - px)
-            if top > 0:
-                gap = min(gap, py - y0 - np.float32(top) * cell)
-            if bottom < ny - 1:
-                gap = min(gap, y0 + np.float32(bottom + 1) * cell - py)
-            limit = gap * gap if gap < np.float32(1e18) else FAR
-            total = 0
-            for gy in range(max(0, top), min(ny, bottom + 1)):
-                first, last = begin[gy * nx + max(0, left)], begin[gy * nx + min(nx - 1, right) + 1]
-                for q in range(last - first):
-                    ex, ey = xs[first + q] - px, ys[first + q] - py
-                    d = ex * ex + ey * ey
-                    key[total + q] = np.float32(d).view(np.int32)
-                    candidate[total + q] = first + q
-                if first <= s < last:
-                    key[total + s - first] = FURTHEST
-                total += last - first
-            within = _radius(key, total, k, within, limit)
-            m = _keep(key, candidate, total, within)
-            if m >= k or gap == FAR:
-                break
+        while first < last:
+            left, right = max(cx - ring, 0), min(cx + ring + 1, nx)
+            top, bottom = max(cy - ring, 0), min(cy + ring + 1, ny)
+            total = _gather(begin, nx, left, right, top, bottom, xs, ys, place, around)
+            # nothing outside of what is searched is nearer than its border; beyond the outermost cells is nothing
+            x_low = x0 + np.float32(left) * cell if left > 0 else -FAR
+            x_high = x0 + np.float32(right) * cell if right < nx else FAR
+            y_low = y0 + np.float32(top) * cell if top > 0 else -FAR
+            y_high = y0 + np.float32(bottom) * cell if bottom < ny else FAR
+            whole = True
+            while whole and first < last:
+                lanes = min(LANES, last - first)
+                number = np.searchsorted(place[:total], first)
+                for lane in range(LANES):
+                    q = first + min(lane, lanes - 1)
+                    lists[X + lane] = np.float32(xs[q]).view(np.int32)
+                    lists[Y + lane] = np.float32(ys[q]).view(np.int32)
+                    lists[SELF + lane] = number + lane
+                mask = _rank(lists, around[0, :total], around[1, :total])
+                for lane in range(lanes):
+                    x, y = xs[first + lane], ys[first + lane]
+                    gap = min(min(x - x_low, x_high - x), min(y - y_low, y_high - y))
+                    furthest = lists[(k - 1) * LANES + lane] | mask
+                    whole &= gap >= FAR or furthest <= np.float32(gap * gap).view(np.int32)
+                for lane in range(lanes if whole else 0):
+                    to = out[members[first + lane]]
+                    for p in range(k):
+                        key = lists[p * LANES + lane]
+                        to[p] = members[place[key & mask]] if key != NOBODY else -1
+                first += lanes if whole else 0
             ring += 1
-        found = min(m, k)
-        _choose(key, m, rank, chosen, found)
-        for p in range(found):
-            out[members[s], p] = members[candidate[chosen[p]]]
     return out
 
 
 @compiled
-def _radius(key, total, k, within, limit):
-    """Squared distance (float32) up to `limit` within which `k` and a few more of key (total,) lie, or `limit`.
+def _gather(begin, nx, left, right, top, bottom, xs, ys, place, around):
+    """Points of a block of cells, one behind the other: place (M,) where they are, around (2, M); returns M."""
+    total = 0
+    for row in range(top * nx, bottom * nx, nx):
+        first, end = begin[row + left], begin[row + right]
+        for q in range(end - first):
+            place[total + q] = first + q
+            around[0, total + q] = xs[first + q]
+            around[1, total + q] = ys[first + q]
+        total += end - first
+    return total
 
-    within: where to try first. In the plane the number within a squared distance grows with that.
+
+@compiled
+def _rank(lists, xs, ys):
+    """Sort the candidates xs, ys (M,) float32 by their distances from each of LANES points.
+
+    Writes the p-th key of a lane to lists[p * LANES + lane]. A key is the squared distance (positive floats keep their
+    order as integers) with the candidate's number in its low bits, the mask of which is returned. All is in one array,
+    and insertion has no branch: so the compiler makes vectors of the lanes.
     """
-    for _ in range(4):
-        bound = min(within, limit)
-        integer = np.float32(bound).view(np.int32)
-        number = np.int32(0)
-        for q in range(total):
-            number += np.int32(key[q] <= integer)
-        if k <= number <= k + SPARE or (number < k and bound == limit):
-            return bound
-        within = bound * (np.float32(k + SPARE // 2) / np.float32(max(number, np.int32(1))))
-    return limit
-
-
-@compiled
-def _keep(key, candidate, total, within):
-    """Keep of the first `total` keys and candidates, in place, those up to `within`; returns how many."""
-    integer = np.float32(within).view(np.int32)
-    m = 0
-    for q in range(total):
-        value = key[q]
-        key[m] = value
-        candidate[m] = candidate[q]
-        m += np.int64(value <= integer)
-    return m
-
-
-@compiled
-def _count_less(key, others, rank, first):
-    """Count for each of LANES keys how many of LANES others are less; the first count starts from zero."""
-    for i in range(LANES):
-        less = np.int32(0)
-        for j in range(LANES):
-            less += np.int32(others[j] < key[i])
-        rank[i] = less if first else rank[i] + less
-
-
-@compiled
-def _choose(key, m, rank, chosen, k):
-    """Indices of the k least of key (m,) int32 in order, ties in theirs; writes chosen (k,).
-
-    A key's rank is how many keys are less: counting has no branch that depends on the keys. With many candidates the
-    least are picked one by one. rank (m,) int32: work space.
-    """
-    if m > MOST_RANKED:
-        for p in range(k):
-            best = 0
-            for i in range(1, m):
-                if key[i] < key[best]:
-                    best = i
-            chosen[p] = best
-            key[best] = np.int32(0x7FFFFFFF)
-        return
-    blocks = (m + LANES - 1) // LANES
-    for i in range(m, blocks * LANES):
-        key[i] = np.int32(0x7FFFFFFF)
-    keys = key[: blocks * LANES].reshape((blocks, LANES))
-    ranks = rank[: blocks * LANES].reshape((blocks, LANES))
-    for one in range(blocks):
-        for other in range(blocks):
-            _count_less(keys[one], keys[other], ranks[one], other == 0)
-    chosen[:] = -1
-    for i in range(m):
-        place = rank[i]
-        while place < k and chosen[place] >= 0:
-            place += 1
-        if place < k:
-            chosen[place] = i
+    mask = np.int32(1)
+    while mask < len(xs):
+        mask = np.int32(2 * mask + 1)
+    lists[: MOST * LANES] = NOBODY
+    for q in range(len(xs)):
+        x, y = xs[q], ys[q]
+        for lane in range(LANES):
+            ex, ey = x - np.int32(lists[X + lane]).view(np.float32), y - np.int32(lists[Y + lane]).view(np.float32)
+            distance = np.float32(ex * ex + ey * ey).view(np.int32)
+            key = np.int32((distance & ~mask) | np.int32(q)) if lists[SELF + lane] != q else NOBODY
+            for p in range(MOST):
+                here = lists[p * LANES + lane]
+                lists[p * LANES + lane] = key if key < here else here
+                key = here if key < here else key
+    return mask
