@@ -25,13 +25,13 @@ SMALLEST_IMAGE = 16  # side [px]
 LEAST_BELIEF = 2.0  # log-odds below which a dot is never given
 LEAST_KERNEL = 12  # side of the background filter [px]
 KERNEL_SHARE = 1 / 36  # of the image's width: a pattern of some sixty columns that fills the image has this pitch
-WIDER_KERNEL = 2.6  # times the usual side, for dots seen from near
+SMALLER = (2, 4)  # times smaller are the images that are read for dots seen from near
 MOSTLY_EXPLAINED = 0.85  # share of the blobs that are decoded from which no second opinion on the links is asked
-WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no wider filter is tried
+WELL_EXPLAINED = 0.4  # share of the blobs that are decoded from which no smaller image is tried
 SMALL_CORE = 15.0  # pixels of the median blob's core up to which dots may be blurred into each other
 NEARLY_EXPLAINED = 0.9  # share of the blobs that are decoded from which small dots are not read again
 FEW_GAPS = 0.04  # share of the dots amid decoded ones that segmentation may miss before that
-SHARPER_GAIN = 1.05  # times as many dots that the sharpened image must give: its centres are noisier
+OTHER_SCALE_GAIN = 1.05  # times as many dots that an image of another size must give: its centres are noisier
 SHARPENED = 3.0  # width of the blur that is taken off, in pixels of the doubled image: about that of a dot
 BLURS = (0.3, 0.0, 0.6, None)  # metrics in which what is left is linked once more [px^2]
 
@@ -84,19 +84,23 @@ class Decoder:
     def interpret(self, bgr: NDArray[np.uint8]) -> Interpretation:
         """All that was found out about an image.
 
-        The background filter must be wider than the dots; where the usual width explains little of what is seen, a
-        wider one is tried. Dots of a few pixels, which lens, mosaic and compression blur into each other, are read
-        again from the sharpened image."""
+        The background filter must be wider than the dots, and noise must not make several blobs of one: where the
+        usual width explains little of what is seen, the image is read at half its size, and at a quarter. Dots of a few
+        pixels, which lens, mosaic and compression blur into each other, are read again from the sharpened image."""
         usual = self.options.kernel or max(LEAST_KERNEL, round(bgr.shape[1] * KERNEL_SHARE))
         best = self._interpret_with(bgr, usual)
-        if not self.options.kernel and best.explained() < WELL_EXPLAINED:
-            wider = self._interpret_with(bgr, round(usual * WIDER_KERNEL))
-            if wider.decoded() > best.decoded():
-                best = wider
+        for scale in SMALLER:
+            if self.options.kernel or best.explained() >= WELL_EXPLAINED or min(bgr.shape[:2]) < 2 * scale * usual:
+                break
+            image = cv2.resize(bgr, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+            smaller = self._interpret_with(image, usual)
+            if smaller.decoded() > OTHER_SCALE_GAIN * best.decoded():
+                smaller.enlarge(scale)
+                best = smaller
         if best.typical_core() <= SMALL_CORE and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
             sharper = self._interpret_with(doubled_and_sharpened(bgr), 2 * usual)
-            if sharper.decoded() > SHARPER_GAIN * best.decoded():
-                sharper.halve()
+            if sharper.decoded() > OTHER_SCALE_GAIN * best.decoded():
+                sharper.enlarge(0.5)
                 best = sharper
         return best
 
@@ -111,7 +115,7 @@ class Decoder:
             return reading
         reading.build_graph()
         reading.read_letters(self._calibrated)
-        trials = np.log(len(self.codebook.codes) * float(reading.n))
+        trials = np.log(len(self.codebook.codes) * float(reading.components()))
         evidence = trials - np.log(self.options.max_false_alarms)
         placed = reading.place(evidence)
         if not placed:

@@ -16,7 +16,7 @@ from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
 from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
-from sl_decoder.letter_model import LetterModel, fit_model, letter_evidence, log_signal
+from sl_decoder.letter_model import LetterModel, fit_model, letter_evidence, log_signal, placement_evidence
 from sl_decoder.matched import CIRCLE
 from sl_decoder.nearest import nearest
 
@@ -28,7 +28,8 @@ GROWTHS = 4
 MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
 NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
-SMOOTHING = 0.375  # px^2 that the mosaic's filter adds to a footprint, beyond what it adds in an image twice as large
+SMOOTHING = 0.5  # px^2 that the mosaic's filter adds to a footprint
+LEAST_VARIANCE = 1 / 12  # px^2 of a footprint: that of one pixel
 # log-odds asked of a dot beyond the limit, per kind of prediction: of a segmented dot, of a recovered one
 RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
 AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
@@ -202,7 +203,7 @@ class Interpretation:
             self.width,
             self.u,
             self.v,
-            self.evidence,
+            placement_evidence(self.evidence[: self.n], self.alphabet.share),
             book.letters,
             lattice.window,
             lattice.turn,
@@ -306,6 +307,10 @@ class Interpretation:
             ):
                 return
 
+    def components(self) -> int:
+        """Number of lattices that are large enough to be placed, at least one."""
+        return max(1, np.count_nonzero(np.bincount(self.component[self.at >= 0])))
+
     def decoded(self) -> int:
         """Number of decoded dots."""
         return int(np.count_nonzero(self.claim >= 0))
@@ -324,13 +329,14 @@ class Interpretation:
         """Median area of the blobs' cores [px]."""
         return float(np.median(self.area[: self.segmented])) if self.segmented else np.inf
 
-    def halve(self) -> None:
-        """Bring what was measured in an image of twice the size to pixels of the image itself."""
+    def enlarge(self, scale: float) -> None:
+        """Bring what was measured in an image of another size to pixels of one `scale` times as large."""
         used = slice(self.n)
-        self.centre[used] = 0.5 * self.centre[used] - np.float32(0.25)
-        self.covariance[used] *= np.float32(0.25)
-        self.covariance[used, ::2] += np.float32(SMOOTHING)
-        self.area[used] = (self.area[used] + 2) // 4
+        self.centre[used] = scale * self.centre[used] + np.float32(0.5 * scale - 0.5)
+        self.covariance[used] *= np.float32(scale * scale)
+        smoothing = np.float32(SMOOTHING * (1.0 - scale * scale))
+        self.covariance[used, ::2] = np.maximum(self.covariance[used, ::2] + smoothing, np.float32(LEAST_VARIANCE))
+        self.area[used] = np.rint(scale * scale * self.area[used])
 
     def finish(self, limit: float) -> None:
         """Release dots still below `limit`, and those whose centres are wrong: cut by the border, lit unevenly.

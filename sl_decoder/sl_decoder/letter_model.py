@@ -142,6 +142,26 @@ def _weigh_level(measure, hue, this, level, level_variance, stray, share, out, t
 
 
 @compiled
+def placement_evidence(evidence, share):
+    """Evidence (N, A) for each letter against any other place in the map: less that of a dot of any of its letters.
+
+    evidence (N, A): see `letter_evidence`; share (A,) of the map's dots. That a dot looks like one speaks for no place,
+    so what is left averages one (as a ratio of likelihoods) over the map, whatever the letters were taken for.
+    """
+    n, count = evidence.shape
+    out = np.empty((n, count), np.float32)
+    for i in range(n):
+        top = evidence[i].max()
+        total = np.float32(0)
+        for k in range(count):
+            total += np.float32(share[k]) * exponential(evidence[i, k] - top)
+        any_letter = max(top + logarithm(total), np.float32(0))
+        for k in range(count):
+            out[i, k] = evidence[i, k] - any_letter
+    return out
+
+
+@compiled
 def evidence_of_one(model, colour, signal, field, field_variance, noise, out):
     """`letter_evidence` of one dot, whose radial profile was not measured: writes out (A,), returns the best letter.
 

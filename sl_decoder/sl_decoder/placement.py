@@ -21,6 +21,9 @@ from sl_decoder.compiled import compiled
 COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
 SWEEPS = 6
 OUTSIDE = np.float32(-0.5)  # label, from -1 to 1, of the dots beyond the region in question
+CONTOUR = (2.638, 1.848)  # growth of the number of closed paths with their length, square and honeycomb lattice
+BEYOND = -20.0  # belief of a dot that would lie outside the map
+INSIDE, OFF_MAP = 1, 2  # marks of a placement's dots
 
 
 @compiled
@@ -215,7 +218,7 @@ def solve_placement(
         head += 1
         mu, mv = on_map(placement[1:4], u[i], v[i], turn)
         if not is_inside(mu, mv, map_letters) or map_letters[mv, mu] < 0:
-            belief[i] = -20.0
+            belief[i] = BEYOND
             continue
         belief[i] = log_p[i, map_letters[mv, mu]]
         if belief[i] < -0.5:
@@ -247,6 +250,33 @@ def solve_placement(
         work[members[s]] = 0
         label[members[s]] = OUTSIDE
     return count, own
+
+
+@compiled
+def evidence_of_region(members, own, belief, least, cell, at, width, window, directions, work):
+    """Evidence (log-likelihood ratio) that the members above the `least` belief lie in a placement.
+
+    Of the many regions of a lattice the one was chosen whose letters happen to agree. Regions whose boundary crosses n
+    links number CONTOUR to the power of n, so each link to a dot of the lattice that was left out costs the logarithm,
+    and no region gains by being chosen. own (M,): evidence of the members; work (N,) int32: zero before and after.
+    """
+    step = (len(window) - 1) // directions
+    links = (window[:, 1] * width[members[0]] + window[:, 0])[1::step]
+    cost = np.log(CONTOUR[0] if directions == 4 else CONTOUR[1])
+    for s in range(len(members)):
+        work[members[s]] = INSIDE if belief[members[s]] > least else OFF_MAP if own[s] <= BEYOND else 0
+    total = 0.0
+    for s in range(len(members)):
+        i = members[s]
+        if work[i] == INSIDE:
+            total += own[s]
+            for link in links:
+                j = cell[at[i] + link]
+                if j >= 0 and work[j] == 0:
+                    total -= cost
+    for s in range(len(members)):
+        work[members[s]] = 0
+    return total
 
 
 @compiled
@@ -329,10 +359,9 @@ def place(
             work,
             members,
         )
-        total = 0.0
-        for s in range(count):
-            if belief[members[s]] > least_belief:
-                total += own[s]
+        total = evidence_of_region(
+            members[:count], own, belief, least_belief, cell, at, width, window, len(turn), work
+        )
         if total < (first_evidence if accepted == 0 else next_evidence):
             continue
         accepted += 1

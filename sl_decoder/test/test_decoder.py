@@ -18,10 +18,18 @@ DECODER = Decoder(PATTERN)
 
 
 def project(
-    pattern, affine: np.ndarray, size=(640, 480), *, noise: float = 3.0, ambient: float = 20.0, seed: int = 0
+    pattern,
+    affine: np.ndarray,
+    size=(640, 480),
+    *,
+    blur: float = 0.6,
+    light: float = 1.0,
+    noise: float = 3.0,
+    ambient: float = 20.0,
+    seed: int = 0,
 ) -> np.ndarray:
     image = cv2.warpAffine(pattern.render()[:, :, ::-1], affine, size, flags=cv2.INTER_AREA)
-    image = cv2.GaussianBlur(image, (0, 0), 0.6).astype(np.float32) + ambient
+    image = light * cv2.GaussianBlur(image, (0, 0), blur).astype(np.float32) + ambient
     return np.clip(image + np.random.default_rng(seed).normal(0, noise, image.shape), 0, 255).astype(np.uint8)
 
 
@@ -65,6 +73,23 @@ def test_another_pattern_of_the_same_letters_gives_nothing() -> None:
     for seed in range(5):
         other = replace(PATTERN, symbols=rng.integers(0, 6, PATTERN.symbols.shape).astype(np.uint8))
         assert len(DECODER.decode(camera_image(other, 640, 480, seed=seed))) == 0
+
+
+@pytest.mark.parametrize("blur", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("scale", [0.3, 0.4, 0.5])
+def test_letters_that_can_hardly_be_told_give_right_dots_or_none(scale: float, blur: float) -> None:
+    pattern = monochrome_pattern()
+    affine = view(pattern, angle=0.7, scale=0.8 * scale, seed=1)
+    assert (errors(Decoder(pattern).decode(project(pattern, affine, blur=blur)), affine) < 2.0).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noisy_dots_seen_from_near_are_read(seed: int) -> None:
+    affine = view(PATTERN, angle=0.7 + seed, scale=6.0, seed=seed)
+    decoded = DECODER.decode(project(PATTERN, affine, blur=3.6, light=0.25, noise=4.0, seed=seed))
+    at = PATTERN.centers @ affine[:, :2].T + affine[:, 2]
+    assert len(decoded) >= ((at > 48) & (at < np.array([592, 432]))).all(-1).sum() >= 20
+    assert errors(decoded, affine).max() < 0.5
 
 
 def test_disjoint_patches_are_all_decoded() -> None:
