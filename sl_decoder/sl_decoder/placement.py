@@ -359,9 +359,7 @@ def place(
             work,
             members,
         )
-        total = evidence_of_region(
-            members[:count], own, belief, least_belief, cell, at, width, window, len(turn), work
-        )
+        total = evidence_of_region(members[:count], own, belief, least_belief, cell, at, width, window, len(turn), work)
         if total < (first_evidence if accepted == 0 else next_evidence):
             continue
         accepted += 1
