@@ -309,7 +309,7 @@ class Interpretation:
 
     def components(self) -> int:
         """Number of lattices that are large enough to be placed, at least one."""
-        return max(1, np.count_nonzero(np.bincount(self.component[self.at >= 0])))
+        return max(1, int(np.count_nonzero(np.bincount(self.component[self.at >= 0]))))
 
     def decoded(self) -> int:
         """Number of decoded dots."""
