@@ -61,7 +61,7 @@ def window_code(letters: np.ndarray, alphabet: int) -> int:
 def code_at(cell, centre, width, letter, window, alphabet, member):
     """Code (int64) of the letters (N,) that were read in the window around a cell of a lattice, -1 where a dot lacks.
 
-    cell, width: see `placement.lay_out`; centre: the cell; writes the window's dots: member (W,) int32.
+    cell, width: see `windows.lay_out`; centre: the cell; writes the window's dots: member (W,) int32.
     """
     code = np.int64(0)
     place = np.int64(1)

@@ -1,7 +1,7 @@
 """Interpretation of one image's dots: graph, letters, placement in the map, growth, judgement, recovery.
 
-Holds the arrays that the stages share. Per dot: N rows of which the first `n` are used; dots that are recovered where
-the map expects them are appended. Per map element: (V, U) arrays in axial coordinates, `claim` holds the dot of each.
+Holds the arrays that the stages share. Per dot: rows of which the first `n` are used; dots that are recovered where the
+map expects them are appended. Per map element: (V, U) arrays in axial coordinates, `claim` holds the dot of each.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_decoder import graph, growth, judgement, letters, orientation, placement, recovery, voting
+from sl_decoder import graph, growth, judgement, letters, orientation, placement, recovery, voting, windows
 from sl_decoder.alphabet import Alphabet
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
@@ -34,6 +34,8 @@ LEAST_VARIANCE = 1 / 12  # px^2 of a footprint: that of one pixel
 RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
 AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
 CHANCE = 0.03  # share of the dots on lattices that must be decoded: less is chance
+MEASURED = ("centre", "colour", "covariance", "area", "noise", "saturated", "signal", "evidence", "letter")
+"""Arrays of what a recovered dot has, too."""
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
 
@@ -44,19 +46,18 @@ class Interpretation:
         self.book = book
         self.alphabet = alphabet
         n = self.n = self.segmented = len(dots)
-        room = n + book.letters.size
-        self.centre = _roomy(dots.centre, room)
-        self.colour = _roomy(dots.colour, room)
-        self.covariance = _roomy(dots.covariance, room)
-        self.area = _roomy(dots.area, room)
-        self.noise = _roomy(dots.noise, room)
-        self.saturated = _roomy(dots.saturated, room)
+        self.centre = dots.centre
+        self.colour = dots.colour
+        self.covariance = dots.covariance
+        self.area = dots.area
+        self.noise = dots.noise
+        self.saturated = dots.saturated
         self.cut = dots.cut
         self.profile = dots.profile
-        self.signal, self.field, self.variance = np.zeros((3, room), np.float32)
-        self.evidence = np.empty((room, book.alphabet), np.float32)
-        self.letter = np.zeros(room, np.int32)
-        self.places = np.full((4, room), -1, np.int32)
+        self.signal, self.field, self.variance = np.zeros((3, n), np.float32)
+        self.evidence = np.empty((n, book.alphabet), np.float32)
+        self.letter = np.zeros(n, np.int32)
+        self.places = np.full((4, n), -1, np.int32)
         self.holder_u, self.holder_v, self.banned_u, self.banned_v = self.places
         shape = book.letters.shape
         self.claim = np.full(shape, -1, np.int32)
@@ -93,7 +94,7 @@ class Interpretation:
         count, self.conflicts = graph.components(
             links, quality, self.book.lattice.steps, self.component, frame, self.u, self.v
         )
-        self.cell, self.at, self.width = placement.lay_out(
+        self.cell, self.at, self.width = windows.lay_out(
             self.component, self.u, self.v, self.conflicts, count, SMALLEST_COMPONENT
         )
 
@@ -178,7 +179,7 @@ class Interpretation:
         lattice = book.lattice
         self.claim[:] = -1
         self.places[:] = -1
-        votes = placement.window_votes(
+        votes = windows.window_votes(
             self.cell,
             self.at,
             self.width,
@@ -193,7 +194,7 @@ class Interpretation:
             book.map_codes,
             lattice.turn,
         )
-        found, of = placement.rank_placements(votes, self.component, 1)
+        found, of = windows.rank_placements(votes, self.component, 1)
         self.accepted, _ = placement.place(
             found,
             of,
@@ -230,7 +231,7 @@ class Interpretation:
         mu, mv = mirrored(self.u, self.v, hexagonal=book.hexagonal)
         best = []
         for window, u, v in ((lattice.window, self.u, self.v), (np.stack([du, dv], 1).astype(np.int32), mu, mv)):
-            votes = placement.window_votes(
+            votes = windows.window_votes(
                 self.cell,
                 self.at,
                 self.width,
@@ -245,7 +246,7 @@ class Interpretation:
                 book.map_codes,
                 lattice.turn,
             )
-            found, _ = placement.rank_placements(votes, self.component, 1)
+            found, _ = windows.rank_placements(votes, self.component, 1)
             most = np.zeros(int(self.component.max()) + 1, np.int64)
             np.maximum.at(most, found[:, 0], found[:, 4])
             best.append(most)
@@ -401,6 +402,10 @@ class Interpretation:
         """
         book, lattice, model = self.book, self.book.lattice, self.model
         assert model is not None
+        free = int(np.count_nonzero((self.claim < 0) & (book.letters >= 0)))
+        if not free:
+            return
+        self._make_room(free)
         tried = np.zeros(self.claim.shape, np.bool_)
         before = self.n
         self.n = recovery.recover(
@@ -433,8 +438,15 @@ class Interpretation:
             # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
             self._release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
 
-
-def _roomy(values: NDArray, room: int) -> NDArray:
-    result = np.empty((room, *values.shape[1:]), values.dtype)
-    result[: len(values)] = values
-    return result
+    def _make_room(self, more: int) -> None:
+        """Room for so many more dots behind the first `n`."""
+        n = self.n
+        for name in MEASURED:
+            values = getattr(self, name)
+            roomy = np.empty((n + more, *values.shape[1:]), values.dtype)
+            roomy[:n] = values[:n]
+            setattr(self, name, roomy)
+        places = np.full((4, n + more), -1, np.int32)
+        places[:, :n] = self.places[:, :n]
+        self.places = places
+        self.holder_u, self.holder_v, self.banned_u, self.banned_v = places

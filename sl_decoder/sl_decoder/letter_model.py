@@ -24,6 +24,7 @@ HUE_FLOOR = 3e-4  # likelihood from which on a hue counts as none of the letters
 LEVEL_RANGE = 4.0  # log signal over which intensities that do not follow the field are spread
 FIRST_STRAY = 0.1  # share of such dots before anything is decoded
 ANY_PROFILE = 1e3  # spread of the radial kurtosis where all letters have one shape: nothing to tell apart
+MOST_EVIDENCE = 8.0  # more than a letter's evidence can be: twice the number of letters, as a ratio of likelihoods
 BLOCK = 64  # dots that are weighed at once
 
 
@@ -149,15 +150,18 @@ def placement_evidence(evidence, share):
     so what is left averages one (as a ratio of likelihoods) over the map, whatever the letters were taken for.
     """
     n, count = evidence.shape
+    most = np.float32(MOST_EVIDENCE)
+    any_letter = np.zeros(n, np.float32)
+    for k in range(count):
+        weight = np.float32(share[k])
+        for i in range(n):
+            any_letter[i] += weight * exponential(evidence[i, k] - most)
+    for i in range(n):
+        any_letter[i] = max(most + logarithm(any_letter[i]), np.float32(0))
     out = np.empty((n, count), np.float32)
     for i in range(n):
-        top = evidence[i].max()
-        total = np.float32(0)
         for k in range(count):
-            total += np.float32(share[k]) * exponential(evidence[i, k] - top)
-        any_letter = max(top + logarithm(total), np.float32(0))
-        for k in range(count):
-            out[i, k] = evidence[i, k] - any_letter
+            out[i, k] = evidence[i, k] - any_letter[i]
     return out
 
 

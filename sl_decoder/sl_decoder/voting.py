@@ -22,7 +22,7 @@ from sl_decoder.compiled import compiled
 def vote(cell, at, width, letter, window, alphabet, codes):
     """Scores (N, A) int32 of the letters of N dots on their lattices.
 
-    cell, at, width: the layout of `placement.lay_out`; letter (N,) int32 as read; window (W, 2) int32 offsets; codes
+    cell, at, width: the layout of `windows.lay_out`; letter (N,) int32 as read; window (W, 2) int32 offsets; codes
     (M,) int64 sorted code table.
     """
     n = len(at)
