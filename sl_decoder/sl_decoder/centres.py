@@ -23,6 +23,8 @@ SUPPORT = 3.0  # the weight is zero at this many times the size of the core
 LOPSIDED = 0.7  # px between weighted centre and middle of the core, which agree in a disc that is whole and evenly lit
 LANES = 16  # pixels of a blob are summed in groups of this many
 SAMPLES = 16  # of the background around a blob
+KEY, BLUE, GREEN, RED, BEFORE = range(0, 5 * SAMPLES, SAMPLES)  # where the samples' values begin
+OUTSIDE = 0  # a place at the border, where the rest is always zero
 
 
 @dataclass(frozen=True)
@@ -59,45 +61,46 @@ def channels(colour):
 
 
 @compiled
-def _ring_background(colours, rest, cx, cy, rx, ry, circle, ring, order, back):
+def _ring_background(colours, rest, h, w, cx, cy, rx, ry, circle, place, word, left, ring, back):
     """Background of a blob: mean signal where no blob lies on the ellipse (rx, ry) around (cx, cy).
 
     The lower three quarters count: skirts of neighbours brighten the rest. Writes back (3,); returns the mean variance
-    of a channel and how many samples count, fewer than three of them mean nothing. ring (4, S) float32 and order (S,)
-    int32: work space.
+    of a channel and how many samples count, fewer than three of them mean nothing. colours, rest (H W,): flat. Work
+    space: place int32, word uint32, left uint8, (S,) each; ring (5 S,) float32, one array, so that the compiler sees
+    that its rows do not overlap.
     """
-    h, w = rest.shape
-    m = 0
-    for k in range(len(circle)):
-        x = int(cx + rx * circle[k, 0] + 0.5)
-        y = int(cy + ry * circle[k, 1] + 0.5)
-        if x < 1 or y < 1 or x >= w - 1 or y >= h - 1:
-            continue
-        b, g, r = channels(colours[y, x])
-        value = max(max(b, g), r)
-        if rest[y, x] == 0 and value > 0:
-            continue
-        # distinct keys: equal values keep their order
-        ring[0, m] = value + np.float32(m) * np.float32(0.01)
-        ring[1, m], ring[2, m], ring[3, m] = b, g, r
-        m += 1
-    for k in range(m, SAMPLES):
-        ring[0, k] = np.float32(1e9)
+    m = np.int32(0)
+    for k in range(min(len(circle), SAMPLES)):
+        x = np.int32(cx + rx * circle[k, 0] + np.float32(0.5))
+        y = np.int32(cy + ry * circle[k, 1] + np.float32(0.5))
+        inside = (x >= 1) & (y >= 1) & (x < w - 1) & (y < h - 1)
+        place[k] = y * w + x if inside else OUTSIDE
     for k in range(SAMPLES):
-        before = np.int32(0)
-        for j in range(SAMPLES):
-            before += np.int32(ring[0, j] < ring[0, k])
-        order[k] = before
-    kept = m - m // 4
+        word[k] = colours[place[k]]
+        left[k] = rest[place[k]]
+    for k in range(min(len(circle), SAMPLES)):
+        b, g, r = channels(word[k])
+        value = max(max(b, g), r)
+        free = (left[k] > 0) | ((value == 0) & (place[k] != OUTSIDE))
+        # distinct keys: equal values keep their order
+        ring[KEY + k] = value + np.float32(k) * np.float32(0.01) if free else np.float32(1e9)
+        ring[BLUE + k], ring[GREEN + k], ring[RED + k] = b, g, r
+        ring[BEFORE + k] = np.float32(0)
+        m += np.int32(free)
+    for j in range(SAMPLES):
+        other = ring[KEY + j]
+        for k in range(min(len(circle), SAMPLES)):
+            ring[BEFORE + k] += np.float32(other < ring[KEY + k])
+    kept = np.float32(m - m // 4)
     b0 = b1 = b2 = q = np.float32(0)
-    for k in range(m):
-        use = np.float32(order[k] < kept)
-        p0, p1, p2 = ring[1, k], ring[2, k], ring[3, k]
+    for k in range(min(len(circle), SAMPLES)):
+        use = np.float32(ring[BEFORE + k] < kept)
+        p0, p1, p2 = ring[BLUE + k], ring[GREEN + k], ring[RED + k]
         b0 += use * p0
         b1 += use * p1
         b2 += use * p2
         q += use * (p0 * p0 + p1 * p1 + p2 * p2)
-    r = np.float32(1) / max(kept, 1)
+    r = np.float32(1) / max(kept, np.float32(1))
     b0, b1, b2 = b0 * r, b1 * r, b2 * r
     back[0], back[1], back[2] = b0, b1, b2
     return (q * r - b0 * b0 - b1 * b1 - b2 * b2) * np.float32(1 / 3), kept
@@ -122,15 +125,16 @@ def _measure(
     profile,
 ):
     h, w = rest.shape
-    per_row = 1.0 / w
     flat = colours.ravel()
     largest = 0
     for j in range(len(peak)):
         largest = max(largest, start[j + 1] - start[j])
     # rows: x, y, height, B, G, R, saturated, mixture; one array, so that the compiler sees that they do not overlap
     pixel = np.zeros((8, (largest + LANES - 1) // LANES * LANES), np.float32)
-    ring = np.empty((4, SAMPLES), np.float32)
-    order = np.empty(SAMPLES, np.int32)
+    ring = np.empty(5 * SAMPLES, np.float32)
+    sampled = np.empty(SAMPLES, np.int32)
+    word = np.empty(SAMPLES, np.uint32)
+    left = np.empty(SAMPLES, np.uint8)
     back = np.empty(3, np.float32)
     one, zero = np.float32(1), np.float32(0)
     for j in range(len(peak)):
@@ -139,29 +143,25 @@ def _measure(
         whole = (count + LANES - 1) // LANES * LANES
         base = floor[j]
         half_height = np.float32(0.5) * (peak[j] - base)
-        first = np.int64(pixels[s])
-        y_first = first // w
-        x_first = first - y_first * w
-        for k in range(count):
-            i = np.int64(pixels[s + k])
-            y = np.int64((i + 0.5) * per_row)
-            pixel[0, k] = np.float32(np.int32(i - y * w - x_first))
+        x_first, y_first = pixels[s] & 0xFFFF, pixels[s] >> 16
+        for k in range(whole):
+            place = pixels[s + min(k, count - 1)]
+            x, y = place & 0xFFFF, place >> 16
+            pixel[0, k] = np.float32(np.int32(x - x_first))
             pixel[1, k] = np.float32(np.int32(y - y_first))
-            pixel[2, k] = np.uint32(flat[i]).view(np.float32)
-        left, right = np.float32(1 - x_first), np.float32(w - 2 - x_first)
-        top, bottom = np.float32(1 - y_first), np.float32(h - 2 - y_first)
+            pixel[2, k] = np.uint32(flat[y * w + x]).view(np.float32)
+        west, east = np.float32(1 - x_first), np.float32(w - 2 - x_first)
+        north, south = np.float32(1 - y_first), np.float32(h - 2 - y_first)
         outside = zero
-        for k in range(count):
-            word = np.float32(pixel[2, k]).view(np.uint32)
-            blue, green, red = channels(word)
-            pixel[2, k] = max(max(blue, green), red) - base
+        for k in range(whole):
+            packed = np.float32(pixel[2, k]).view(np.uint32)
+            blue, green, red = channels(packed)
+            pixel[2, k] = max(max(blue, green), red) - base if k < count else -one  # below half of any peak
             pixel[3, k], pixel[4, k], pixel[5, k] = blue, green, red
-            pixel[6, k] = np.float32(np.int32(word >> np.uint32(24)))
+            pixel[6, k] = np.float32(np.int32(packed >> np.uint32(24)))
             x, y = pixel[0, k], pixel[1, k]
-            rim = (x <= left) | (y <= top) | (x >= right) | (y >= bottom)
+            rim = (x <= west) | (y <= north) | (x >= east) | (y >= south)
             outside += np.float32(rim & (pixel[2, k] >= half_height))
-        pixel[:, count:whole] = zero
-        pixel[2, count:whole] = -one  # below half of any peak
         n = sx = sy = sw = mx = my = xx = xy = yy = c0 = c1 = c2 = sat = zero
         for k in range(whole):
             v = pixel[2, k]
@@ -200,7 +200,9 @@ def _measure(
         profile[j] = zero
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        variance, m = _ring_background(colours, rest, cx, cy, rx, ry, circle, ring, order, back)
+        variance, m = _ring_background(
+            flat, rest.ravel(), h, w, cx, cy, rx, ry, circle, sampled, word, left, ring, back
+        )
         if m >= 3:
             # neighbouring pixels share the filter: about three of them count as one
             noise[j] = np.sqrt(max(variance, np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
@@ -227,12 +229,10 @@ def _measure(
         w2 /= total
         offset = w0 * back[0] + w1 * back[1] + w2 * back[2]
         for k in range(whole):
-            pixel[7, k] = w0 * pixel[3, k] + w1 * pixel[4, k] + w2 * pixel[5, k] - offset
-        for k in range(count, whole):
-            pixel[7, k] = zero
+            pixel[7, k] = w0 * pixel[3, k] + w1 * pixel[4, k] + w2 * pixel[5, k] - offset if k < count else zero
         det = max(xx * yy - xy * xy, np.float32(1e-3)) * np.float32(SUPPORT * SUPPORT)
         ixx = yy / det
-        ixy = -2 * xy / det
+        ixy = np.float32(-2) * xy / det
         iyy = xx / det
         ox, oy = fx, fy
         for _ in range(4):

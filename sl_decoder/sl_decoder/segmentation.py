@@ -32,8 +32,8 @@ class Segments:
 
     smooth (3, H, W) uint8: planes of the image under the 3x3 binomial filter that removes the mosaic's frequency;
     colour (H, W) uint32 what stands above the background, packed (see `planes.top_hat`); rest (H, W) uint8 its largest
-    channel where no blob is; pixels (P,) int32 the blobs' pixels, y * W + x, blob by blob, start (N + 1,) int32 where
-    each blob's begin; peak, floor (N,) float32 height of the blob and of the background around it in the largest
+    channel where no blob is; pixels (P,) int32 the blobs' pixels, 65536 y + x, blob by blob, start (N + 1,) int32
+    where each blob's begin; peak, floor (N,) float32 height of the blob and of the background around it in the largest
     channel.
     """
 
@@ -105,8 +105,8 @@ def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
     From every local maximum, pixels connected above SADDLE_RATIO of its height belong to the same dot, whatever small
     maxima they hold; from there the blob runs downhill (never up again) to FOOT_RATIO of its height. maximum (H, W)
     uint8: where to start. Sets hat to zero in the blobs, which is how a pixel is known to be taken, and along the
-    border of the image, so that nobody needs to look for that. Writes the pixels' indices int32 and their height uint8
-    blob by blob; start, peak, base per blob. Returns the number of blobs.
+    border of the image, so that nobody needs to look for that. Writes the pixels, 65536 y + x, int32 and their height
+    uint8 blob by blob; start, peak, base per blob. Returns the number of blobs.
     """
     h, w = hat.shape
     hat[0], hat[h - 1], hat[:, 0], hat[:, w - 1] = 0, 0, 0, 0
@@ -115,6 +115,7 @@ def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
     flat = hat.ravel()
     begin = maximum.ravel()
     around = (-w - 1, -w, -w + 1, -1, 1, w - 1, w, w + 1)
+    beside = (-65537, -65536, -65535, -1, 1, 65535, 65536, 65537)  # the same in packed coordinates
     chunks = begin[: len(begin) // 8 * 8].view(np.uint64)
     for chunk in range(len(chunks) + 1):
         if chunk < len(chunks) and chunks[chunk] == 0:
@@ -128,21 +129,22 @@ def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
             value = np.int64(flat[i])
             n += 1
             first = end
-            pixels[end] = i
+            pixels[end] = (y << 16) + x
             height[end] = flat[i]
             flat[i] = 0
             end += 1
             join = np.int64(np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor)))
             head = first
             while head < end:
-                j = np.int64(pixels[head])
+                place = np.int64(pixels[head])
+                j = (place >> 16) * w + (place & 0xFFFF)
                 head += 1
                 for step in range(8):
                     k = j + around[step]
                     v = flat[k]
                     if v >= join:
                         flat[k] = 0
-                        pixels[end] = k
+                        pixels[end] = place + beside[step]
                         height[end] = v
                         end += 1
                         if v > value:
@@ -153,7 +155,8 @@ def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
             low = np.int64(foot) + 1
             head = first
             while head < end:
-                j = np.int64(pixels[head])
+                place = np.int64(pixels[head])
+                j = (place >> 16) * w + (place & 0xFFFF)
                 span = np.int64(height[head]) - low
                 head += 1
                 if span < 0:
@@ -163,7 +166,7 @@ def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
                     v = flat[k]
                     if np.uint64(v - low) <= np.uint64(span):
                         flat[k] = 0
-                        pixels[end] = k
+                        pixels[end] = place + beside[step]
                         height[end] = v
                         end += 1
             start[n - 1] = first
