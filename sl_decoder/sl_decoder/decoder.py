@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pattern_gen import Pattern
 from sl_common.errors import StructuredLightError
-from sl_decoder import centres, segmentation
+from sl_decoder import centres, rescaling, segmentation
 from sl_decoder.alphabet import read_alphabet
 from sl_decoder.codebook import build_codebook
 from sl_decoder.colours import Colours
@@ -32,7 +32,6 @@ SMALL_CORE = 15.0  # pixels of the median blob's core up to which dots may be bl
 NEARLY_EXPLAINED = 0.9  # share of the blobs that are decoded from which small dots are not read again
 FEW_GAPS = 0.04  # share of the dots amid decoded ones that segmentation may miss before that
 OTHER_SCALE_GAIN = 1.05  # times as many dots that an image of another size must give: its centres are noisier
-SHARPENED = 3.0  # width of the blur that is taken off, in pixels of the doubled image: about that of a dot
 BLURS = (0.3, 0.0, 0.6, None)  # metrics in which what is left is linked once more [px^2]
 
 
@@ -86,31 +85,38 @@ class Decoder:
 
         The background filter must be wider than the dots, and noise must not make several blobs of one: where the
         usual width explains little of what is seen, the image is read at half its size, and at a quarter. Dots of a few
-        pixels, which lens, mosaic and compression blur into each other, are read again from the sharpened image."""
+        pixels, which lens, mosaic and compression blur into each other, are read again from the sharpened image,
+        and what either reading finds is joined."""
         usual = self.options.kernel or max(LEAST_KERNEL, round(bgr.shape[1] * KERNEL_SHARE))
         best = self._interpret_with(bgr, usual)
         for scale in SMALLER:
             if self.options.kernel or best.explained() >= WELL_EXPLAINED or min(bgr.shape[:2]) < 2 * scale * usual:
                 break
             image = cv2.resize(bgr, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
-            smaller = self._interpret_with(image, usual)
+            smaller = self._interpret_with(image, usual, pixel=1 / scale)
             if smaller.decoded() > OTHER_SCALE_GAIN * best.decoded():
-                smaller.enlarge(scale)
+                rescaling.enlarge(smaller, scale)
                 best = smaller
         if best.typical_core() <= SMALL_CORE and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
-            sharper = self._interpret_with(doubled_and_sharpened(bgr), 2 * usual)
-            if sharper.decoded() > OTHER_SCALE_GAIN * best.decoded():
-                sharper.enlarge(0.5)
-                best = sharper
+            sharper = self._interpret_with(rescaling.doubled_and_sharpened(bgr), 2 * usual, pixel=2.0)
+            better = sharper.decoded() > OTHER_SCALE_GAIN * best.decoded()
+            rescaling.enlarge(sharper, 0.5)
+            if better:
+                best, sharper = sharper, best
+            rescaling.adopt(best, sharper, self.limit)
         return best
 
-    def _interpret_with(self, bgr: NDArray[np.uint8], kernel: int) -> Interpretation:
+    def _interpret_with(self, bgr: NDArray[np.uint8], kernel: int, pixel: float = 1.0) -> Interpretation:
         segments = segmentation.segment(bgr, kernel)
-        return self.read(centres.measure(segments), segments.smooth)
+        return self.read(centres.measure(segments), segments.smooth, pixel=pixel)
 
-    def read(self, dots: centres.Dots, smooth: NDArray[np.uint8] | None = None) -> Interpretation:
-        """Interpretation of measured dots; smooth (3, H, W): the image, to recover dots that were not segmented."""
-        reading = Interpretation(self.codebook, self.alphabet, dots)
+    def read(
+        self, dots: centres.Dots, smooth: NDArray[np.uint8] | None = None, *, pixel: float = 1.0
+    ) -> Interpretation:
+        """Interpretation of measured dots; smooth (3, H, W): the image, to recover dots that were not segmented.
+
+        pixel: size of the camera's pixels in those of the image."""
+        reading = Interpretation(self.codebook, self.alphabet, dots, pixel=pixel)
         if reading.n < len(self.codebook.lattice.window):
             return reading
         reading.build_graph()
@@ -182,12 +188,6 @@ class Decoder:
             mirrored=reading.mirrored,
             inspection=Inspection(reading.centre[: reading.n], reading.letter[: reading.n], links, reason),
         )
-
-
-def doubled_and_sharpened(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """An image (H, W, 3) at twice its size, with what a dot's blur takes put back (unsharp masking)."""
-    doubled = cv2.resize(bgr, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    return cv2.addWeighted(doubled, 2.0, cv2.GaussianBlur(doubled, (0, 0), SHARPENED), -1.0, 0.0)
 
 
 def check_image(bgr: NDArray[np.uint8]) -> None:

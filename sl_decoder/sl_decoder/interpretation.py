@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sl_decoder import graph, growth, judgement, letters, orientation, placement, recovery, voting, windows
+from sl_decoder.agreement import agreed_field
 from sl_decoder.alphabet import Alphabet
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
@@ -28,8 +29,6 @@ GROWTHS = 4
 MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
 NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
-SMOOTHING = 0.5  # px^2 that the mosaic's filter adds to a footprint
-LEAST_VARIANCE = 1 / 12  # px^2 of a footprint: that of one pixel
 # log-odds asked of a dot beyond the limit, per kind of prediction: of a segmented dot, of a recovered one
 RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
 AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
@@ -42,8 +41,10 @@ RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 class Interpretation:
     """The dots of one image and what is known of them; see the module."""
 
-    def __init__(self, book: Codebook, alphabet: Alphabet, dots: Dots) -> None:
+    def __init__(self, book: Codebook, alphabet: Alphabet, dots: Dots, *, pixel: float = 1.0) -> None:
+        """pixel: size of the camera's pixels in those of the image in which the dots were measured."""
         self.book = book
+        self.pixel = np.float32(pixel)
         self.alphabet = alphabet
         n = self.n = self.segmented = len(dots)
         self.centre = dots.centre
@@ -62,8 +63,8 @@ class Interpretation:
         shape = book.letters.shape
         self.claim = np.full(shape, -1, np.int32)
         self.belief = np.full(shape, -20.0, np.float32)
-        self.own, self.letter_evidence, self.error, self.size, self.thin = np.zeros((5, *shape), np.float32)
-        self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
+        self.own = np.zeros(shape, np.float32)
+        self.measures = judgement.no_measures(shape)
         self.model: LetterModel | None = None
         self.accepted = 0
         self.mirrored = False
@@ -73,20 +74,26 @@ class Interpretation:
 
     def build_graph(self) -> None:
         """Lattice links and connected components."""
-        n = self.n
-        self.near = nearest(self.centre[:n], graph.NEIGHBOURS)
-        self._link(graph.BLUR)
+        self.near = nearest(self.centre[: self.n], graph.NEIGHBOURS)
+        self.links, self.quality = self._link(slice(self.n), self.near, graph.BLUR)
         self._lay_out(self.links, self.quality)
 
-    def _link(self, blur: float) -> None:
-        """Lattice links of all dots in the metric of their footprints without `blur` [px^2]."""
-        n, lattice = self.segmented, self.book.lattice
-        shape = graph.smooth_shapes(self.covariance[:n], self.near, blur)
-        self.links = np.empty((n, lattice.directions), np.int32)
-        self.quality = np.empty(n, np.float32)
-        graph.local_bases(
-            self.centre[:n], shape, self.near, lattice.directions, graph.TOLERANCE, self.links, self.quality
-        )
+    def _link(
+        self, dots: NDArray[np.intp] | slice, near: NDArray[np.int32], blur: float | None
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Lattice links of dots (M,) among themselves, as indices of `dots`, and their quality.
+
+        blur: of the metric of the footprints [px^2]; None: in the two directions of the histogram of the whole image.
+        """
+        directions = self.book.lattice.directions
+        centre = self.centre[dots]
+        shape = graph.smooth_shapes(self.covariance[dots], near, graph.BLUR if blur is None else blur)
+        if blur is None:
+            return orientation.links(centre, shape, near, directions)
+        links = np.empty((len(near), directions), np.int32)
+        quality = np.empty(len(near), np.float32)
+        graph.local_bases(centre, shape, near, directions, graph.TOLERANCE, links, quality)
+        return links, quality
 
     def _lay_out(self, links: NDArray[np.int32], quality: NDArray[np.float32]) -> None:
         """Follow the links to components, and lay these out on their lattices."""
@@ -139,12 +146,6 @@ class Interpretation:
         score = voting.vote(self.cell, self.at, self.width, self.letter, book.lattice.window, book.alphabet, book.codes)
         self.letter[: self.n] = voting.elect(score, self.letter[: self.n])
 
-    def _link_by_orientation(self) -> None:
-        """Lattice links of all dots in the two directions that the histogram of the whole image shows."""
-        n = self.segmented
-        shape = graph.smooth_shapes(self.covariance[:n], self.near, graph.BLUR)
-        self.links, self.quality = orientation.links(self.centre[:n], shape, self.near, self.book.lattice.directions)
-
     def place_rest(self, blur: float | None) -> int:
         """Place what is left: components of the dots that hold no element yet; returns how many dots that gave.
 
@@ -153,16 +154,17 @@ class Interpretation:
         lattices. blur: of the metric in which they are linked [px^2], none is right for all dots of all images; None:
         as the paper links them.
         """
-        n = self.segmented
-        if blur is None:
-            self._link_by_orientation()
-        else:
-            self._link(blur)
-        free = (self.holder_v[:n] < 0) & ~self.mirrored_dots
+        free = np.flatnonzero((self.holder_v[: self.segmented] < 0) & ~self.mirrored_dots)
+        if len(free) < len(self.book.lattice.window):
+            return 0
+        links, quality = self._link(free, nearest(self.centre[free], graph.NEIGHBOURS), blur)
+        linked = np.full_like(self.links, -1)
+        linked[free] = self.links[free] = np.where(links >= 0, free[links], -1)
+        good = np.full_like(self.quality, np.inf)
+        good[free] = quality
         at, conflicts = self.at, self.conflicts
-        linked = (self.links >= 0) & free[self.links] & free[:, None]
         held, holders = self.claim.copy(), self.places[:2].copy()
-        self._lay_out(np.where(linked, self.links, -1), np.where(free, self.quality, np.float32(np.inf)))
+        self._lay_out(linked, good)
         self.place(NEXT_EVIDENCE)
         found = (self.claim >= 0) & (held < 0)
         dots = self.claim[found]
@@ -293,15 +295,9 @@ class Interpretation:
                 self.evidence,
                 self.book.letters,
                 lattice.steps,
-                self.letter_evidence,
-                self.error,
-                self.kind,
-                self.size,
-                self.thin,
+                self.measures,
             )
-            judgement.own_evidence(
-                self.claim, self.segmented, self.letter_evidence, self.error, self.kind, self.size, self.thin, self.own
-            )
+            judgement.own_evidence(self.claim, self.segmented, self.measures, self.pixel, self.own)
             judgement.solve(self.claim, self.own, lattice.window, self.belief)
             if not judgement.release_worst(
                 self.claim, self.belief, limit, self.holder_u, self.holder_v, self.banned_u, self.banned_v
@@ -330,15 +326,6 @@ class Interpretation:
         """Median area of the blobs' cores [px]."""
         return float(np.median(self.area[: self.segmented])) if self.segmented else np.inf
 
-    def enlarge(self, scale: float) -> None:
-        """Bring what was measured in an image of another size to pixels of one `scale` times as large."""
-        used = slice(self.n)
-        self.centre[used] = scale * self.centre[used] + np.float32(0.5 * scale - 0.5)
-        self.covariance[used] *= np.float32(scale * scale)
-        smoothing = np.float32(SMOOTHING * (1.0 - scale * scale))
-        self.covariance[used, ::2] = np.maximum(self.covariance[used, ::2] + smoothing, np.float32(LEAST_VARIANCE))
-        self.area[used] = np.rint(scale * scale * self.area[used])
-
     def finish(self, limit: float) -> None:
         """Release dots still below `limit`, and those whose centres are wrong: cut by the border, lit unevenly.
 
@@ -348,7 +335,7 @@ class Interpretation:
         held = judgement.release_doubtful(
             self.claim,
             self.belief,
-            self.kind,
+            self.measures.kind,
             self.segmented,
             self.cut,
             np.float32(limit) + RIM,
@@ -393,6 +380,16 @@ class Interpretation:
             model.direction,
             model.level,
         )
+        agreed_field(
+            self.signal[:n],
+            known,
+            held,
+            self.near,
+            self.model.level,
+            self.model.group,
+            self.field[:n],
+            self.variance[:n],
+        )
         self.weigh_letters()
 
     def recover(self, smooth: NDArray[np.uint8], limit: float, offset: np.float32 = recovery.UNKNOWN_OFFSET) -> None:
@@ -405,7 +402,7 @@ class Interpretation:
         free = int(np.count_nonzero((self.claim < 0) & (book.letters >= 0)))
         if not free:
             return
-        self._make_room(free)
+        self.make_room(free)
         tried = np.zeros(self.claim.shape, np.bool_)
         before = self.n
         self.n = recovery.recover(
@@ -436,9 +433,9 @@ class Interpretation:
         if self.n > before:
             self.judge(limit)
             # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
-            self._release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
+            self._release((self.claim >= before) & (self.measures.kind >= growth.EXTRAPOLATED))
 
-    def _make_room(self, more: int) -> None:
+    def make_room(self, more: int) -> None:
         """Room for so many more dots behind the first `n`."""
         n = self.n
         for name in MEASURED:

@@ -11,9 +11,12 @@ the last sound one it has to convince by itself. Beliefs and support are iterate
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sl_decoder.compiled import compiled
+from sl_decoder.footprints import lost_part, thin_evidence, thin_statistics, thinness
 from sl_decoder.growth import EXTRAPOLATED, FULL, UNPREDICTED, lattice_error, predict
 
 # residuals of true dots from their prediction, in lattice units: mixtures per kind of prediction
@@ -23,43 +26,53 @@ PLACE_MOST = 4.0
 # beyond (some 99.8 % of true dots lie within) the dot is half lit, merged or not on this surface: its centre is wrong
 PLACE_LIMIT = np.array([0.14, 0.22, 0.30], np.float32)
 RECOVERED_LIMIT = 0.65  # times that for dots that were only found where they were expected: faint, or next to an edge
+# dots of a few pixels have noisier centres: the image's median residual adds to the above
+NOISE_VARIANCE = 0.5  # times its square to the variances
+NOISE_LIMIT = 4.0  # times it, below which no dot is too far off
 OFF_PLACE = 12.0
 ROUGHER = 1.6  # times the surroundings' mean residual, from which a dot is out of line
 SMOOTH_LIMIT = 0.07  # but never below this, nor below SMOOTH_FACTOR times the image's median residual
 SMOOTH_FACTOR = 8.0
 RECOVERED = -2.0  # log-odds of such a dot before all evidence: what was not segmented is often half lit, or half hidden
-# footprints: log of the smallest axis of a dot's footprint over its neighbours' mean footprint
-THIN_STEP, THIN_LEAST, THIN_BINS = 0.02, -2.0, 150  # histogram of the whole rings' footprints
 THIN_KIND = np.array(
     [1.0, 1.2, 1.5, 1.5], np.float32
 )  # times the spread, per kind: there are neighbours on one side only
-THIN_FLOOR = 0.08  # least spread
-THIN_TAIL = 0.04  # share of true dots of any shape (highlights, noise)
-THIN_RANGE = 2.0  # over which those, and dots that are cut, are spread
-CUT_SHARE = 0.5  # of the false dots are cut by an edge, the others are whole dots of another surface
+LOST_FREE = 0.3  # px of a lost part that noise explains
+LOST_WEIGHT = 7.0  # log-odds against the dot per px beyond
 PAIR = 1.2  # support of two sound neighbours on opposite sides
 SINGLE = 0.3  # support of one sound neighbour
 SWEEPS = 6
 
 
+class Measures(NamedTuple):
+    """What is known of each held element by itself, arrays (V, U).
+
+    letter: log-likelihood ratio of its letter; error: of its position [lattice units]; kind: of the prediction; size:
+    log of the core's area per lattice cell, relative to the neighbours'; thin, lost: see `thinness` (nan where there
+    are too few neighbours to compare with) and `lost_part` in footprints.py. float32, kind int8.
+    """
+
+    letter: np.ndarray
+    error: np.ndarray
+    kind: np.ndarray
+    size: np.ndarray
+    thin: np.ndarray
+    lost: np.ndarray
+
+
+def no_measures(shape: tuple[int, ...]) -> Measures:
+    """Measures of a map of this shape (V, U) before any dot is held."""
+    letter, error, size, thin, lost = (np.zeros(shape, np.float32) for _ in range(5))
+    return Measures(letter, error, np.full(shape, UNPREDICTED, np.int8), size, thin, lost)
+
+
 @compiled
-def thinness(c0, c1, c2, n0, n1, n2):
-    """Logarithm of the smallest axis (as a variance) of footprint c in units of footprint n; cut in half: -1.3.
-
-    Both are covariances xx, xy, yy [px^2]: the smaller eigenvalue of n^-1 c."""
-    det = max(n0 * n2 - n1 * n1, np.float32(1e-6))
-    half = np.float32(0.5) * (c0 * n2 - 2 * c1 * n1 + c2 * n0) / det
-    product = (c0 * c2 - c1 * c1) / det
-    return np.log(max(half - np.sqrt(max(half * half - product, np.float32(0))), np.float32(0.05)))
-
-
-@compiled
-def gather(claim, centre, area, covariance, log_p, map_letters, steps, letter, error, kind_of, size, thin):
-    """Evidence of all held elements, each (V, U): letter log-likelihood ratio, position error [lattice units], kind of
-    prediction, size: log of the core's area per lattice cell, relative to the neighbours'; thin: see `thinness`, nan
-    where there are too few neighbours to compare with."""
+def gather(claim, centre, area, covariance, log_p, map_letters, steps, measures):
+    """Measure all held elements."""
+    letter, error, kind_of, size, thin, lost = measures
     rows, cols = claim.shape
     absolute = np.empty((rows, cols), np.float32)
+    off = np.zeros((rows, cols, 2), np.float32)
     for v in range(rows):
         for u in range(cols):
             i = claim[v, u]
@@ -71,6 +84,7 @@ def gather(claim, centre, area, covariance, log_p, map_letters, steps, letter, e
             absolute[v, u] = np.float32(np.nan)
             error[v, u] = np.float32(1.0)
             if kind != UNPREDICTED:
+                off[v, u, 0], off[v, u, 1] = centre[i, 0] - x, centre[i, 1] - y
                 error[v, u] = min(lattice_error(centre[i, 0] - x, centre[i, 1] - y, ax, ay, bx, by), np.float32(1.0))
                 det = ax * by - ay * bx
                 if det > 0:
@@ -96,59 +110,20 @@ def gather(claim, centre, area, covariance, log_p, map_letters, steps, letter, e
                         total += absolute[vv, uu]
                         n += 1
             thin[v, u] = np.float32(np.nan)
+            lost[v, u] = np.float32(0)
             if m >= 2:
                 i = claim[v, u]
-                thin[v, u] = thinness(covariance[i, 0], covariance[i, 1], covariance[i, 2], n0 / m, n1 / m, n2 / m)
+                n0, n1, n2 = n0 / m, n1 / m, n2 / m
+                thin[v, u] = thinness(covariance[i, 0], covariance[i, 1], covariance[i, 2], n0, n1, n2)
+                dx, dy = off[v, u, 0], off[v, u, 1]
+                lost[v, u] = lost_part(claim, centre, covariance, v, u, steps, dx, dy, n0, n1, n2)
             size[v, u] = absolute[v, u] - total / n if n > 0 and absolute[v, u] == absolute[v, u] else np.float32(0)
 
 
 @compiled
-def thin_statistics(claim, thin, kind_of):
-    """Median and robust spread of the dots' thinness in this image, from those with whole rings."""
+def typical_error(claim, error, kind_of):
+    """Median position error [lattice units] of the image's dots with whole rings, in steps of 0.001."""
     rows, cols = claim.shape
-    histogram = np.zeros(THIN_BINS, np.int32)
-    n = 0
-    for v in range(rows):
-        for u in range(cols):
-            if claim[v, u] >= 0 and kind_of[v, u] == FULL and thin[v, u] == thin[v, u]:
-                k = int((thin[v, u] - THIN_LEAST) / THIN_STEP)
-                histogram[max(0, min(THIN_BINS - 1, k))] += 1
-                n += 1
-    if n < 20:
-        return np.float32(-0.1), np.float32(0.2)
-    quarters = np.zeros(3, np.float32)
-    below = 0
-    q = 0
-    for k in range(THIN_BINS):
-        below += histogram[k]
-        while q < 3 and 4 * below >= (q + 1) * n:
-            quarters[q] = THIN_LEAST + (k + 0.5) * THIN_STEP
-            q += 1
-    # the upper half: dots that are cut belong to the lower
-    spread = max((quarters[2] - quarters[1]) / np.float32(0.6745), np.float32(THIN_FLOOR))
-    return quarters[1], spread
-
-
-@compiled
-def thin_evidence(thin, middle, spread):
-    """Log-likelihood ratio of a footprint: true dots look like their neighbours, false ones are often cut."""
-    if np.isnan(thin):
-        return np.float32(0)
-    z = (thin - middle) / spread
-    if z > 0:
-        z *= np.float32(0.5)  # being fatter than the others is no sign of a cut
-    like = np.exp(np.float32(-0.5) * z * z) / (np.float32(2.5066) * spread)
-    tail = np.float32(1 / THIN_RANGE)
-    true = np.float32(1 - THIN_TAIL) * like + np.float32(THIN_TAIL) * tail
-    false = np.float32(1 - CUT_SHARE) * like + np.float32(CUT_SHARE) * tail
-    return np.log(true / false)
-
-
-@compiled
-def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
-    """Log-odds (V, U) of each held element by itself; dots from number `segmented` on were recovered."""
-    rows, cols = claim.shape
-    thin_middle, thin_spread = thin_statistics(claim, thin, kind_of)
     histogram = np.zeros(200, np.int32)
     n = 0
     for v in range(rows):
@@ -161,7 +136,20 @@ def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
     while middle < 199 and 2 * (below + histogram[middle]) < n:
         below += histogram[middle]
         middle += 1
-    smooth_limit = max(SMOOTH_LIMIT, SMOOTH_FACTOR * 0.001 * middle)
+    return np.float32(0.001) * middle
+
+
+@compiled
+def own_evidence(claim, segmented, measures, pixel, own):
+    """Log-odds (V, U) of each held element by itself; dots from number `segmented` on were recovered.
+
+    pixel: size of a pixel of the camera in those in which it was measured.
+    """
+    letter, error, kind_of, size, thin, lost = measures
+    rows, cols = claim.shape
+    thin_middle, thin_spread = thin_statistics(claim, thin, kind_of)
+    noise = typical_error(claim, error, kind_of)
+    smooth_limit = max(np.float32(SMOOTH_LIMIT), np.float32(SMOOTH_FACTOR) * noise)
     for v in range(rows):
         for u in range(cols):
             if claim[v, u] < 0:
@@ -173,10 +161,10 @@ def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
             else:
                 density = np.float32(0.02)
                 for c in range(3):
-                    s2 = PLACE_SIGMA[kind, c] * PLACE_SIGMA[kind, c]
+                    s2 = PLACE_SIGMA[kind, c] * PLACE_SIGMA[kind, c] + np.float32(NOISE_VARIANCE) * noise * noise
                     density += PLACE_SHARE[kind, c] * np.exp(e2 / s2) / (np.float32(2 * np.pi) * s2)
                 place = min(np.log(density), np.float32(PLACE_MOST))
-            limit = PLACE_LIMIT[min(kind, 2)]
+            limit = max(PLACE_LIMIT[min(kind, 2)], np.float32(NOISE_LIMIT) * (1 + np.float32(0.5) * kind) * noise)
             if claim[v, u] >= segmented:
                 limit *= np.float32(RECOVERED_LIMIT)
             if kind < EXTRAPOLATED:
@@ -195,6 +183,7 @@ def own_evidence(claim, segmented, letter, error, kind_of, size, thin, own):
             shape = thin_evidence(thin[v, u], thin_middle, thin_spread * THIN_KIND[kind])
             shape -= np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
             own[v, u] = letter[v, u] + place + shape
+            own[v, u] -= np.float32(LOST_WEIGHT) * max(np.float32(0), lost[v, u] / pixel - np.float32(LOST_FREE))
             if claim[v, u] >= segmented:
                 own[v, u] += np.float32(RECOVERED)
 

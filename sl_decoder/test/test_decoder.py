@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from decoder_helpers import camera_image, default_pattern, hexagonal_pattern, monochrome_pattern
+from decoder_helpers import camera_image, default_pattern, hexagonal_pattern, monochrome_pattern, project
 
 from sl_common.errors import StructuredLightError
 from sl_decoder import Decoder, DecoderOptions, Reason
@@ -15,22 +15,6 @@ from sl_decoder.synthetic import view
 
 PATTERN = default_pattern()
 DECODER = Decoder(PATTERN)
-
-
-def project(
-    pattern,
-    affine: np.ndarray,
-    size=(640, 480),
-    *,
-    blur: float = 0.6,
-    light: float = 1.0,
-    noise: float = 3.0,
-    ambient: float = 20.0,
-    seed: int = 0,
-) -> np.ndarray:
-    image = cv2.warpAffine(pattern.render()[:, :, ::-1], affine, size, flags=cv2.INTER_AREA)
-    image = light * cv2.GaussianBlur(image, (0, 0), blur).astype(np.float32) + ambient
-    return np.clip(image + np.random.default_rng(seed).normal(0, noise, image.shape), 0, 255).astype(np.uint8)
 
 
 def errors(decoded, affine: np.ndarray) -> np.ndarray:
