@@ -342,6 +342,7 @@ class Interpretation:
             self.holder_u,
             self.holder_v,
         )
+        self.belief -= RIM[0][self.measures.kind]  # so much more likely is a false dot there
         if held < CHANCE * np.count_nonzero(self.at >= 0):
             self._release(self.claim >= 0)
 

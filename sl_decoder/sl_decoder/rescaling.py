@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_decoder.interpretation import Interpretation
+from sl_decoder.interpretation import MEASURED, Interpretation
 
 SHARPENED = 3.0  # width of the blur that is taken off, in pixels of the doubled image: about that of a dot
 SMOOTHING = 0.5  # px^2 that the mosaic's filter adds to a footprint
@@ -47,7 +47,7 @@ def adopt(reading: Interpretation, other: Interpretation, limit: float) -> None:
     v, u, dots = v[apart], u[apart], dots[apart]
     reading.make_room(len(dots))
     to = np.arange(reading.n, reading.n + len(dots))
-    for name in ("centre", "colour", "covariance", "area", "noise", "saturated", "signal", "evidence", "letter"):
+    for name in MEASURED:
         getattr(reading, name)[to] = getattr(other, name)[dots]
     reading.n += len(dots)
     reading.claim[v, u] = to
