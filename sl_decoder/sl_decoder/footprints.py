@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sl_decoder.approximation import exponential, logarithm
 from sl_decoder.compiled import compiled
 from sl_decoder.growth import FULL
 
@@ -31,21 +32,19 @@ def thinness(c0, c1, c2, n0, n1, n2):
     det = max(n0 * n2 - n1 * n1, np.float32(1e-6))
     half = np.float32(0.5) * (c0 * n2 - 2 * c1 * n1 + c2 * n0) / det
     product = (c0 * c2 - c1 * c1) / det
-    return np.log(max(half - np.sqrt(max(half * half - product, np.float32(0))), np.float32(0.05)))
+    return logarithm(max(half - np.sqrt(max(half * half - product, np.float32(0))), np.float32(0.05)))
 
 
 @compiled
-def thin_statistics(claim, thin, kind_of):
-    """Median and robust spread of the dots' thinness in this image, from those with whole rings."""
-    rows, cols = claim.shape
+def thin_statistics(held, thin, kind):
+    """Median and robust spread of the dots' thinness in this image, from those with whole rings; arrays (L,)."""
     histogram = np.zeros(THIN_BINS, np.int32)
     n = 0
-    for v in range(rows):
-        for u in range(cols):
-            if claim[v, u] >= 0 and kind_of[v, u] == FULL and thin[v, u] == thin[v, u]:
-                k = int((thin[v, u] - THIN_LEAST) / THIN_STEP)
-                histogram[max(0, min(THIN_BINS - 1, k))] += 1
-                n += 1
+    for k in range(len(thin)):
+        if held[k] > 0 and kind[k] == FULL and thin[k] == thin[k]:
+            step = int((thin[k] - np.float32(THIN_LEAST)) * np.float32(1 / THIN_STEP))
+            histogram[max(0, min(THIN_BINS - 1, step))] += 1
+            n += 1
     if n < 20:
         return np.float32(-0.1), np.float32(0.2)
     quarters = np.zeros(3, np.float32)
@@ -64,16 +63,14 @@ def thin_statistics(claim, thin, kind_of):
 @compiled
 def thin_evidence(thin, middle, spread):
     """Log-likelihood ratio of a footprint: true dots look like their neighbours, false ones are often cut."""
-    if np.isnan(thin):
-        return np.float32(0)
     z = (thin - middle) / spread
-    if z > 0:
-        z *= np.float32(0.5)  # being fatter than the others is no sign of a cut
-    like = np.exp(np.float32(-0.5) * z * z) / (np.float32(2.5066) * spread)
+    z = z * np.float32(0.5) if z > 0 else z  # being fatter than the others is no sign of a cut
+    like = exponential(np.float32(-0.5) * z * z) / (np.float32(2.5066) * spread)
     tail = np.float32(1 / THIN_RANGE)
     true = np.float32(1 - THIN_TAIL) * like + np.float32(THIN_TAIL) * tail
     false = np.float32(1 - CUT_SHARE) * like + np.float32(CUT_SHARE) * tail
-    return np.log(true / false)
+    ratio = logarithm(true / false)
+    return ratio if thin == thin else np.float32(0)
 
 
 @compiled
@@ -83,20 +80,27 @@ def extent(c0, c1, c2, x, y):
 
 
 @compiled
-def lost_part(claim, centre, covariance, v, u, steps, dx, dy, n0, n1, n2):
-    """How far [px] the centre of a held element is displaced by the loss of a part of the dot, as place and shape say.
+def lost_beside(c0, c1, c2, n0, n1, n2, dx, dy):
+    """How far [px] the centre of footprint c is displaced by the loss of a part of the dot, as place and shape say.
 
     A dot of which a part is missing (cut by an edge, hidden, split) is narrower along the direction in which it is
-    displaced, by twice the displacement. (dx, dy): off its prediction [px]; n: the neighbours' mean footprint. Where a
-    line of dots ends at this one, its last dots tell too: next to an edge all dots of the rim may be cut alike.
+    displaced, by twice the displacement. (dx, dy): off its prediction [px]; n: the neighbours' mean footprint.
     """
+    shift = np.sqrt(dx * dx + dy * dy)
+    scale = np.float32(1) / max(shift, np.float32(1e-3))
+    whole = extent(n0, n1, n2, dx * scale, dy * scale)
+    here = extent(c0, c1, c2, dx * scale, dy * scale)
+    lost = min(shift, np.float32(CORE_WIDTH) * (whole - here)) - np.float32(LOST_SHARE) * whole
+    return max(lost, np.float32(0))
+
+
+@compiled
+def lost_at_line_end(claim, centre, covariance, v, u, steps):
+    """The same for a held element at which a line of dots ends, from its last dots: all of a rim may be cut alike."""
     rows, cols = claim.shape
     i = claim[v, u]
     c0, c1, c2 = covariance[i, 0], covariance[i, 1], covariance[i, 2]
-    shift = np.sqrt(dx * dx + dy * dy)
-    x, y = dx / max(shift, np.float32(1e-3)), dy / max(shift, np.float32(1e-3))
-    whole = extent(n0, n1, n2, x, y)
-    lost = min(shift, CORE_WIDTH * (whole - extent(c0, c1, c2, x, y))) - np.float32(LOST_SHARE) * whole
+    lost = np.float32(0)
     for d in range(len(steps)):
         dv, du = steps[d, 1], steps[d, 0]
         if not (0 <= v - 2 * dv < rows and 0 <= u - 2 * du < cols):

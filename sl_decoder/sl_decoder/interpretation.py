@@ -63,8 +63,7 @@ class Interpretation:
         shape = book.letters.shape
         self.claim = np.full(shape, -1, np.int32)
         self.belief = np.full(shape, -20.0, np.float32)
-        self.own = np.zeros(shape, np.float32)
-        self.measures = judgement.no_measures(shape)
+        self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
         self.model: LetterModel | None = None
         self.accepted = 0
         self.mirrored = False
@@ -285,24 +284,26 @@ class Interpretation:
 
     def judge(self, limit: float) -> None:
         """Judge all claims; release the worst below `limit` and judge again until none is left."""
-        lattice = self.book.lattice
-        for _ in range(JUDGEMENTS):
-            judgement.gather(
-                self.claim,
-                self.centre,
-                self.area,
-                self.covariance,
-                self.evidence,
-                self.book.letters,
-                lattice.steps,
-                self.measures,
-            )
-            judgement.own_evidence(self.claim, self.segmented, self.measures, self.pixel, self.own)
-            judgement.solve(self.claim, self.own, lattice.window, self.belief)
-            if not judgement.release_worst(
-                self.claim, self.belief, limit, self.holder_u, self.holder_v, self.banned_u, self.banned_v
-            ):
-                return
+        judgement.judge(
+            self.claim,
+            self.segmented,
+            self.centre,
+            self.area,
+            self.covariance,
+            self.evidence,
+            self.book.letters,
+            self.book.lattice.steps,
+            self.book.lattice.window,
+            self.pixel,
+            np.float32(limit),
+            JUDGEMENTS,
+            self.kind,
+            self.belief,
+            self.holder_u,
+            self.holder_v,
+            self.banned_u,
+            self.banned_v,
+        )
 
     def components(self) -> int:
         """Number of lattices that are large enough to be placed, at least one."""
@@ -335,7 +336,7 @@ class Interpretation:
         held = judgement.release_doubtful(
             self.claim,
             self.belief,
-            self.measures.kind,
+            self.kind,
             self.segmented,
             self.cut,
             np.float32(limit) + RIM,
@@ -434,7 +435,7 @@ class Interpretation:
         if self.n > before:
             self.judge(limit)
             # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
-            self._release((self.claim >= before) & (self.measures.kind >= growth.EXTRAPOLATED))
+            self._release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
 
     def make_room(self, more: int) -> None:
         """Room for so many more dots behind the first `n`."""

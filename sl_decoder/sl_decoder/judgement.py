@@ -11,17 +11,19 @@ the last sound one it has to convince by itself. Beliefs and support are iterate
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
+from sl_decoder.approximation import exponential, logarithm, tangent
 from sl_decoder.compiled import compiled
-from sl_decoder.footprints import lost_part, thin_evidence, thin_statistics, thinness
-from sl_decoder.growth import EXTRAPOLATED, FULL, UNPREDICTED, lattice_error, predict
+from sl_decoder.footprints import thin_evidence, thin_statistics
+from sl_decoder.growth import EXTRAPOLATED, FULL, UNPREDICTED
+from sl_decoder.measures import around_sum, index_of, measure
 
+UNHELD = -20.0  # belief where no dot is held
 # residuals of true dots from their prediction, in lattice units: mixtures per kind of prediction
 PLACE_SIGMA = np.array([[0.010, 0.030, 0.10], [0.018, 0.05, 0.12], [0.03, 0.07, 0.12]], np.float32)
 PLACE_SHARE = np.array([[0.78, 0.20, 0.02], [0.68, 0.20, 0.12], [0.45, 0.35, 0.20]], np.float32)
+PLACE_FLOOR = 0.02  # density of true dots anywhere
 PLACE_MOST = 4.0
 # beyond (some 99.8 % of true dots lie within) the dot is half lit, merged or not on this surface: its centre is wrong
 PLACE_LIMIT = np.array([0.14, 0.22, 0.30], np.float32)
@@ -44,148 +46,141 @@ SINGLE = 0.3  # support of one sound neighbour
 SWEEPS = 6
 
 
-class Measures(NamedTuple):
-    """What is known of each held element by itself, arrays (V, U).
+@compiled
+def judge(
+    claim,
+    segmented,
+    centre,
+    area,
+    covariance,
+    log_p,
+    map_letters,
+    lattice_steps,
+    window,
+    pixel,
+    limit,
+    most,
+    kind_of,
+    belief,
+    holder_u,
+    holder_v,
+    banned_u,
+    banned_v,
+):
+    """Judge all held elements; release the worst below `limit` and judge again, until none is left or `most` times.
 
-    letter: log-likelihood ratio of its letter; error: of its position [lattice units]; kind: of the prediction; size:
-    log of the core's area per lattice cell, relative to the neighbours'; thin, lost: see `thinness` (nan where there
-    are too few neighbours to compare with) and `lost_part` in footprints.py. float32, kind int8.
+    claim (V, U) and the arrays of the dots as in `Interpretation`; dots from number `segmented` on were recovered;
+    pixel: size of a pixel of the camera in those in which they were measured. Writes kind_of and belief (V, U).
     """
-
-    letter: np.ndarray
-    error: np.ndarray
-    kind: np.ndarray
-    size: np.ndarray
-    thin: np.ndarray
-    lost: np.ndarray
-
-
-def no_measures(shape: tuple[int, ...]) -> Measures:
-    """Measures of a map of this shape (V, U) before any dot is held."""
-    letter, error, size, thin, lost = (np.zeros(shape, np.float32) for _ in range(5))
-    return Measures(letter, error, np.full(shape, UNPREDICTED, np.int8), size, thin, lost)
-
-
-@compiled
-def gather(claim, centre, area, covariance, log_p, map_letters, steps, measures):
-    """Measure all held elements."""
-    letter, error, kind_of, size, thin, lost = measures
     rows, cols = claim.shape
-    absolute = np.empty((rows, cols), np.float32)
-    off = np.zeros((rows, cols, 2), np.float32)
-    for v in range(rows):
-        for u in range(cols):
-            i = claim[v, u]
-            if i < 0:
-                continue
-            x, y, kind, ax, ay, bx, by = predict(claim, centre, v, u, steps)
-            letter[v, u] = log_p[i, map_letters[v, u]]
-            kind_of[v, u] = kind
-            absolute[v, u] = np.float32(np.nan)
-            error[v, u] = np.float32(1.0)
-            if kind != UNPREDICTED:
-                off[v, u, 0], off[v, u, 1] = centre[i, 0] - x, centre[i, 1] - y
-                error[v, u] = min(lattice_error(centre[i, 0] - x, centre[i, 1] - y, ax, ay, bx, by), np.float32(1.0))
-                det = ax * by - ay * bx
-                if det > 0:
-                    absolute[v, u] = np.log(area[i] / det)
-    for v in range(rows):
-        for u in range(cols):
-            if claim[v, u] < 0:
-                continue
-            total = np.float32(0)
-            n = 0
-            n0 = n1 = n2 = np.float32(0)
-            m = 0
-            for vv in range(max(0, v - 1), min(rows, v + 2)):
-                for uu in range(max(0, u - 1), min(cols, u + 2)):
-                    j = claim[vv, uu]
-                    if j < 0 or (vv == v and uu == u):
-                        continue
-                    n0 += covariance[j, 0]
-                    n1 += covariance[j, 1]
-                    n2 += covariance[j, 2]
-                    m += 1
-                    if absolute[vv, uu] == absolute[vv, uu]:
-                        total += absolute[vv, uu]
-                        n += 1
-            thin[v, u] = np.float32(np.nan)
-            lost[v, u] = np.float32(0)
-            if m >= 2:
-                i = claim[v, u]
-                n0, n1, n2 = n0 / m, n1 / m, n2 / m
-                thin[v, u] = thinness(covariance[i, 0], covariance[i, 1], covariance[i, 2], n0, n1, n2)
-                dx, dy = off[v, u, 0], off[v, u, 1]
-                lost[v, u] = lost_part(claim, centre, covariance, v, u, steps, dx, dy, n0, n1, n2)
-            size[v, u] = absolute[v, u] - total / n if n > 0 and absolute[v, u] == absolute[v, u] else np.float32(0)
+    for _ in range(most):
+        measures = measure(claim, centre, area, covariance, log_p, map_letters, lattice_steps)
+        own = own_evidence(claim, segmented, measures, pixel)
+        solve(measures.held, own, window, cols + 2)
+        for v in range(rows):
+            for u in range(cols):
+                k = index_of(v, u, cols)
+                belief[v, u] = own[k] if claim[v, u] >= 0 else np.float32(UNHELD)
+                kind_of[v, u] = np.int8(measures.kind[k])
+        if release_worst(claim, belief, limit, holder_u, holder_v, banned_u, banned_v) == 0:
+            return
 
 
 @compiled
-def typical_error(claim, error, kind_of):
+def typical_error(measures):
     """Median position error [lattice units] of the image's dots with whole rings, in steps of 0.001."""
-    rows, cols = claim.shape
     histogram = np.zeros(200, np.int32)
     n = 0
-    for v in range(rows):
-        for u in range(cols):
-            if claim[v, u] >= 0 and kind_of[v, u] == FULL:
-                histogram[min(199, int(error[v, u] * 1000))] += 1
-                n += 1
+    for k in range(len(measures.held)):
+        if measures.held[k] > 0 and measures.kind[k] == FULL:
+            histogram[min(199, int(measures.error[k] * np.float32(1000)))] += 1
+            n += 1
     middle = 0
     below = 0
     while middle < 199 and 2 * (below + histogram[middle]) < n:
         below += histogram[middle]
         middle += 1
-    return np.float32(0.001) * middle
+    return np.float32(0.001) * np.float32(middle)
 
 
 @compiled
-def own_evidence(claim, segmented, measures, pixel, own):
-    """Log-odds (V, U) of each held element by itself; dots from number `segmented` on were recovered.
+def own_evidence(claim, segmented, measures, pixel):
+    """Log-odds (L,) of each held element by itself; dots from number `segmented` on were recovered.
 
     pixel: size of a pixel of the camera in those in which it was measured.
     """
-    letter, error, kind_of, size, thin, lost = measures
     rows, cols = claim.shape
-    thin_middle, thin_spread = thin_statistics(claim, thin, kind_of)
-    noise = typical_error(claim, error, kind_of)
-    smooth_limit = max(np.float32(SMOOTH_LIMIT), np.float32(SMOOTH_FACTOR) * noise)
+    room = len(measures.held)
+    recovered = np.zeros(room, np.float32)
     for v in range(rows):
         for u in range(cols):
-            if claim[v, u] < 0:
-                continue
-            kind = kind_of[v, u]
-            e2 = np.float32(-0.5) * error[v, u] * error[v, u]
-            if kind == UNPREDICTED:
-                place = np.float32(-OFF_PLACE)  # where it ought to be cannot be told: nor can what it is
-            else:
-                density = np.float32(0.02)
-                for c in range(3):
-                    s2 = PLACE_SIGMA[kind, c] * PLACE_SIGMA[kind, c] + np.float32(NOISE_VARIANCE) * noise * noise
-                    density += PLACE_SHARE[kind, c] * np.exp(e2 / s2) / (np.float32(2 * np.pi) * s2)
-                place = min(np.log(density), np.float32(PLACE_MOST))
-            limit = max(PLACE_LIMIT[min(kind, 2)], np.float32(NOISE_LIMIT) * (1 + np.float32(0.5) * kind) * noise)
-            if claim[v, u] >= segmented:
-                limit *= np.float32(RECOVERED_LIMIT)
-            if kind < EXTRAPOLATED:
-                # out of line with its surroundings: their own residuals tell how rough the surface is
-                rough = np.float32(0)
-                m = 0
-                for vv in range(max(0, v - 1), min(rows, v + 2)):
-                    for uu in range(max(0, u - 1), min(cols, u + 2)):
-                        if claim[vv, uu] >= 0 and (vv != v or uu != u) and kind_of[vv, uu] < EXTRAPOLATED:
-                            rough += error[vv, uu]
-                            m += 1
-                if m >= 4:
-                    limit = min(limit, max(np.float32(smooth_limit) * (1 + kind), np.float32(ROUGHER) * rough / m))
-            if kind < UNPREDICTED and error[v, u] > limit:
-                place = np.float32(-OFF_PLACE)
-            shape = thin_evidence(thin[v, u], thin_middle, thin_spread * THIN_KIND[kind])
-            shape -= np.float32(2.0) * max(np.float32(0), abs(size[v, u]) - np.float32(0.25))
-            own[v, u] = letter[v, u] + place + shape
-            own[v, u] -= np.float32(LOST_WEIGHT) * max(np.float32(0), lost[v, u] / pixel - np.float32(LOST_FREE))
-            if claim[v, u] >= segmented:
-                own[v, u] += np.float32(RECOVERED)
+            recovered[index_of(v, u, cols)] = np.float32(claim[v, u] >= segmented)
+    rough = roughness(measures, cols + 2)
+    middle, spread = thin_statistics(measures.held, measures.thin, measures.kind)
+    noise = typical_error(measures)
+    own = np.empty(room, np.float32)
+    for kind in range(UNPREDICTED + 1):
+        _place_evidence(np.float32(kind), measures.error, measures.kind, noise, rough, recovered, own)
+    for kind in range(UNPREDICTED + 1):
+        _add_thin_evidence(np.float32(kind), measures.thin, measures.kind, middle, spread * THIN_KIND[kind], own)
+    weight = np.float32(LOST_WEIGHT)
+    for k in range(room):
+        size = max(np.float32(0), abs(measures.size[k]) - np.float32(0.25))
+        lost = max(np.float32(0), measures.lost[k] / pixel - np.float32(LOST_FREE))
+        own[k] += measures.letter[k] - np.float32(2) * size - weight * lost + np.float32(RECOVERED) * recovered[k]
+    return own
+
+
+@compiled
+def roughness(measures, width):
+    """Mean error (L,) of the dots around each that are predicted from both sides; infinite for less than four."""
+    room = len(measures.held)
+    counted, error = np.empty(room, np.float32), np.empty(room, np.float32)
+    for k in range(room):
+        counted[k] = np.float32(measures.held[k] > 0 and measures.kind[k] < EXTRAPOLATED)
+        error[k] = counted[k] * measures.error[k]
+    number, total = np.zeros(room, np.float32), np.zeros(room, np.float32)
+    around_sum(counted, width, number)
+    around_sum(error, width, total)
+    for k in range(room):
+        total[k] = total[k] / max(number[k], np.float32(1)) if number[k] >= 4 else np.float32(np.inf)
+    return total
+
+
+@compiled
+def _place_evidence(kind, error, kind_of, noise, rough, recovered, own):
+    """Log-likelihood ratio own (L,) of the places of the dots of one kind of prediction."""
+    if kind == UNPREDICTED:  # where it ought to be cannot be told: nor can what it is
+        for k in range(len(own)):
+            own[k] = np.float32(-OFF_PLACE) if kind_of[k] == kind else own[k]
+        return
+    c = np.int64(kind)
+    variance = PLACE_SIGMA[c] * PLACE_SIGMA[c] + np.float32(NOISE_VARIANCE) * noise * noise
+    height = PLACE_SHARE[c] / (np.float32(2 * np.pi) * variance)
+    slope = np.float32(-0.5) / variance
+    s0, s1, s2, h0, h1, h2 = slope[0], slope[1], slope[2], height[0], height[1], height[2]
+    most = max(PLACE_LIMIT[c], np.float32(NOISE_LIMIT) * (np.float32(1) + np.float32(0.5) * kind) * noise)
+    # out of line with its surroundings: their own residuals tell how rough the surface is
+    smooth = max(np.float32(SMOOTH_LIMIT), np.float32(SMOOTH_FACTOR) * noise) * (np.float32(1) + kind)
+    lone = np.float32(np.inf) if kind >= EXTRAPOLATED else smooth
+    less = np.float32(1 - RECOVERED_LIMIT)
+    for k in range(len(own)):
+        e2 = error[k] * error[k]
+        density = np.float32(PLACE_FLOOR) + h0 * exponential(s0 * e2) + h1 * exponential(s1 * e2)
+        density += h2 * exponential(s2 * e2)
+        limit = most * (np.float32(1) - less * recovered[k])
+        limit = min(limit, max(lone, np.float32(ROUGHER) * rough[k]))
+        place = min(logarithm(density), np.float32(PLACE_MOST))
+        place = np.float32(-OFF_PLACE) if error[k] > limit else place
+        own[k] = place if kind_of[k] == kind else own[k]
+
+
+@compiled
+def _add_thin_evidence(kind, thin, kind_of, middle, spread, own):
+    """Adds the evidence of the footprints of the dots of one kind of prediction."""
+    for k in range(len(own)):
+        ratio = thin_evidence(thin[k], middle, spread)
+        own[k] += ratio if kind_of[k] == kind else np.float32(0)
 
 
 @compiled
@@ -245,44 +240,37 @@ def release_doubtful(claim, belief, kind_of, segmented, cut, asked, holder_u, ho
 
 
 @compiled
-def solve(claim, own, window, belief):
-    """Beliefs (V, U): log-odds that each held element is right, own evidence and neighbours'.
+def solve(held, own, window, width):
+    """Beliefs, in place of own (L,): log-odds that each held element is right, own evidence and neighbours'.
 
-    -20 where none is held.
+    held (L,): one or zero; width: of the rows. Support counts along the axes through an element.
     """
-    rows, cols = claim.shape
-    q = np.zeros((rows, cols), np.float32)
+    label = np.empty(len(own), np.float32)  # from -1 to 1; 0 for what is not held
+    belief = np.zeros(len(own), np.float32)
+    for k in range(len(own)):
+        label[k] = held[k] * tangent(np.float32(0.5) * own[k])
     half = (len(window) - 1) // 2
-    for v in range(rows):
-        for u in range(cols):
-            belief[v, u] = -20.0
-            if claim[v, u] >= 0:
-                q[v, u] = np.tanh(0.5 * max(-4.0, min(4.0, own[v, u])))
+    first, last = width + 1, len(own) - width - 1
     for _ in range(SWEEPS):
+        belief[:] = own
+        for p in range(1, half + 1):
+            step = window[p, 1] * width + window[p, 0]
+            one, two = slice(first + step, last + step), slice(first - step, last - step)
+            _support(held[one], label[one], held[two], label[two], belief[first:last])
         moved = np.float32(0)
-        for v in range(rows):
-            for u in range(cols):
-                if claim[v, u] < 0:
-                    continue
-                total = np.float32(0)
-                for p in range(1, half + 1):
-                    v1, u1 = v + window[p, 1], u + window[p, 0]
-                    v2, u2 = v - window[p, 1], u - window[p, 0]
-                    one = 0 <= v1 < rows and 0 <= u1 < cols and claim[v1, u1] >= 0
-                    two = 0 <= v2 < rows and 0 <= u2 < cols and claim[v2, u2] >= 0
-                    if one and two:
-                        total += np.float32(PAIR) * min(q[v1, u1], q[v2, u2])
-                    elif one:
-                        total += np.float32(SINGLE) * q[v1, u1]
-                    elif two:
-                        total += np.float32(SINGLE) * q[v2, u2]
-                belief[v, u] = own[v, u] + total
-                # tanh(x / 2) by its rational approximation, good to 0.01
-                x = max(np.float32(-8), min(np.float32(8), belief[v, u])) * np.float32(0.5)
-                x2 = x * x
-                t = x * (27 + x2) / (27 + 9 * x2)
-                t = max(np.float32(-1), min(np.float32(1), t))
-                moved = max(moved, abs(t - q[v, u]))
-                q[v, u] = t
+        for k in range(first, last):
+            t = held[k] * tangent(np.float32(0.5) * belief[k])
+            moved = max(moved, abs(t - label[k]))
+            label[k] = t
         if moved < np.float32(0.05):
             break
+    own[:] = belief
+
+
+@compiled
+def _support(held_one, one, held_two, two, belief):
+    """Adds what the neighbours on opposite sides say."""
+    for k in range(len(belief)):
+        both = held_one[k] * held_two[k]
+        pair = np.float32(PAIR) * min(one[k], two[k])
+        belief[k] += pair if both > 0 else np.float32(SINGLE) * (one[k] + two[k])

@@ -6,7 +6,7 @@ from decoder_helpers import default_pattern, project
 
 from sl_decoder import Decoder
 from sl_decoder.agreement import agreed_field
-from sl_decoder.footprints import lost_part
+from sl_decoder.footprints import lost_at_line_end, lost_beside
 from sl_decoder.lattice import SQUARE
 from sl_decoder.nearest import nearest
 from sl_decoder.synthetic import view
@@ -24,7 +24,8 @@ def lost_at(centre: np.ndarray, covariance: np.ndarray, v: int, u: int) -> float
     around = [claim[y, x] for y in range(v - 1, min(v + 2, 6)) for x in range(u - 1, u + 2) if (y, x) != (v, u)]
     dx, dy = np.zeros(2, np.float32) if v == 5 else centre[claim[v, u]] - centre[around].mean(0)
     n0, n1, n2 = covariance[around].mean(0)
-    return float(lost_part(claim, centre, covariance, v, u, SQUARE.steps, dx, dy, n0, n1, n2))
+    beside = lost_beside(*covariance[claim[v, u]], n0, n1, n2, dx, dy)
+    return float(max(beside, lost_at_line_end(claim, centre, covariance, v, u, SQUARE.steps)))
 
 
 def lattice() -> tuple[np.ndarray, np.ndarray]:
