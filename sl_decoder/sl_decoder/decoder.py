@@ -97,7 +97,7 @@ class Decoder:
             if smaller.decoded() > OTHER_SCALE_GAIN * best.decoded():
                 rescaling.enlarge(smaller, scale)
                 best = smaller
-        if best.typical_core() <= SMALL_CORE and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
+        if best.is_small(SMALL_CORE) and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
             sharper = self._interpret_with(rescaling.doubled_and_sharpened(bgr), 2 * usual, pixel=2.0)
             better = sharper.decoded() > OTHER_SCALE_GAIN * best.decoded()
             rescaling.enlarge(sharper, 0.5)

@@ -323,9 +323,10 @@ class Interpretation:
         missing = amid & ((self.claim < 0) | (self.claim >= self.segmented))
         return float(missing.sum()) / max(1, int(amid.sum()))
 
-    def typical_core(self) -> float:
-        """Median area of the blobs' cores [px]."""
-        return float(np.median(self.area[: self.segmented])) if self.segmented else np.inf
+    def is_small(self, core: float) -> bool:
+        """Whether at least half of the blobs have cores of at most so many pixels."""
+        area = self.area[: self.segmented]
+        return 2 * int(np.count_nonzero(area <= core)) >= max(1, len(area))
 
     def finish(self, limit: float) -> None:
         """Release dots still below `limit`, and those whose centres are wrong: cut by the border, lit unevenly.
