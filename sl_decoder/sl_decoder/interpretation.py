@@ -114,11 +114,9 @@ class Interpretation:
 
     def read_letters(self, first: NDArray[np.float64] | None = None) -> None:
         """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
-        n = self.n
-        _, self.model, signal, field, variance = letters.initial_letters(
-            self.alphabet, self.centre[:n], self.colour[:n], self.profile, self.near, self.at >= 0, first
+        self.model, self.signal, self.field, self.variance = letters.initial_letters(
+            self.alphabet, self.centre, self.colour, self.profile, self.near, self.at >= 0, first
         )
-        self.signal[:n], self.field[:n], self.variance[:n] = signal, field, variance
         self.weigh_letters()
 
     def weigh_letters(self) -> None:

@@ -127,9 +127,8 @@ def initial_letters(
     near: np.ndarray,
     use: np.ndarray,
     first: np.ndarray | None = None,
-) -> tuple[np.ndarray, LetterModel, np.ndarray, np.ndarray, np.ndarray]:
-    """First reading of all dots: letters (N,) int32, the model, log signal (N,), its field (N,) and the field's
-    variance.
+) -> tuple[LetterModel, np.ndarray, np.ndarray, np.ndarray]:
+    """First reading of all dots: the model of their letters, log signal (N,), its field (N,) and the field's variance.
 
     colour (N, 3) float32; profile (N,) radial kurtosis; near (N, K) int32 neighbours; use (N,) bool: dots that look
     like part of a lattice; first (A, 3) B G R of the letters from a colour calibration, None: the pattern's own under
@@ -171,4 +170,4 @@ def initial_letters(
     )
     local_field(centre, signal, near, letter, level, use, field, variance)
     model = fit_model(alphabet, colour, profile, signal, field, letter, use, direction, level)
-    return letter, model, signal, field, variance
+    return model, signal, field, variance
