@@ -338,11 +338,11 @@ class Interpretation:
             self.kind,
             self.segmented,
             self.cut,
-            np.float32(limit) + RIM,
+            np.float32(limit),
+            RIM,
             self.holder_u,
             self.holder_v,
         )
-        self.belief -= RIM[0][self.measures.kind]  # so much more likely is a false dot there
         if held < CHANCE * np.count_nonzero(self.at >= 0):
             self._release(self.claim >= 0)
 

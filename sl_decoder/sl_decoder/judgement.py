@@ -217,11 +217,12 @@ def release_worst(claim, belief, least, holder_u, holder_v, banned_u, banned_v):
 
 
 @compiled
-def release_doubtful(claim, belief, kind_of, segmented, cut, asked, holder_u, holder_v):
+def release_doubtful(claim, belief, kind_of, segmented, cut, limit, rim, holder_u, holder_v):
     """Release held elements whose belief is below what is asked, and dots that are cut; returns how many are left.
 
-    asked (2, 4) float32: log-odds per kind of prediction, of segmented dots and of those from number `segmented` on,
-    which were recovered; cut (N,) bool of the segmented dots.
+    rim (2, 4) float32: log-odds asked beyond the limit per kind of prediction, of segmented dots and of those from
+    number `segmented` on, which were recovered; cut (N,) bool of the segmented dots. As much more likely as the first
+    says is a false dot there: it is taken off the beliefs of those that are left.
     """
     held = 0
     for v in range(claim.shape[0]):
@@ -230,11 +231,13 @@ def release_doubtful(claim, belief, kind_of, segmented, cut, asked, holder_u, ho
             if i < 0:
                 continue
             recovered = i >= segmented
-            if belief[v, u] < asked[np.int64(recovered), kind_of[v, u]] or (not recovered and cut[i]):
+            kind = kind_of[v, u]
+            if belief[v, u] < limit + rim[np.int64(recovered), kind] or (not recovered and cut[i]):
                 holder_u[i] = -1
                 holder_v[i] = -1
                 claim[v, u] = -1
             else:
+                belief[v, u] -= rim[0, kind]
                 held += 1
     return held
 
