@@ -132,7 +132,7 @@ def _measure(
     # rows: x, y, height, B, G, R, saturated, mixture; one array, so that the compiler sees that they do not overlap
     pixel = np.zeros((8, (largest + LANES - 1) // LANES * LANES), np.float32)
     ring = np.empty(5 * SAMPLES, np.float32)
-    sampled = np.empty(SAMPLES, np.int32)
+    place = np.empty(max(pixel.shape[1], SAMPLES), np.int32)
     word = np.empty(SAMPLES, np.uint32)
     left = np.empty(SAMPLES, np.uint8)
     back = np.empty(3, np.float32)
@@ -145,11 +145,13 @@ def _measure(
         half_height = np.float32(0.5) * (peak[j] - base)
         x_first, y_first = pixels[s] & 0xFFFF, pixels[s] >> 16
         for k in range(whole):
-            place = pixels[s + min(k, count - 1)]
-            x, y = place & 0xFFFF, place >> 16
+            at = pixels[s + k] if k < count else pixels[s]
+            x, y = np.int32(at & 0xFFFF), np.int32(at >> 16)
             pixel[0, k] = np.float32(np.int32(x - x_first))
             pixel[1, k] = np.float32(np.int32(y - y_first))
-            pixel[2, k] = np.uint32(flat[y * w + x]).view(np.float32)
+            place[k] = y * w + x
+        for k in range(whole):  # nothing else here, so that many cache misses are under way at once
+            pixel[2, k] = np.uint32(flat[place[k]]).view(np.float32)
         west, east = np.float32(1 - x_first), np.float32(w - 2 - x_first)
         north, south = np.float32(1 - y_first), np.float32(h - 2 - y_first)
         outside = zero
@@ -200,9 +202,7 @@ def _measure(
         profile[j] = zero
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        variance, m = _ring_background(
-            flat, rest.ravel(), h, w, cx, cy, rx, ry, circle, sampled, word, left, ring, back
-        )
+        variance, m = _ring_background(flat, rest.ravel(), h, w, cx, cy, rx, ry, circle, place, word, left, ring, back)
         if m >= 3:
             # neighbouring pixels share the filter: about three of them count as one
             noise[j] = np.sqrt(max(variance, np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
@@ -252,7 +252,7 @@ def _measure(
             sy = np.float32(1.6) * sy / sw
             ox += sx
             oy += sy
-            if sx * sx + sy * sy < 2e-5:
+            if sx * sx + sy * sy < np.float32(2e-5):
                 break
         if (ox - fx) ** 2 + (oy - fy) ** 2 > np.float32(0.5) * (xx + yy) + np.float32(0.25):
             ox, oy = fx, fy
