@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from pattern_gen import Pattern
 from pattern_gen.rendering import coverage
+from sl_decoder.segmentation import FOOT_RATIO
 
 UPPER_TAIL = 0.9  # quantile of a channel's drive values and of its signals by which gains are told
+BLURS = (0.1, 0.17, 0.25, 0.35, 0.5)  # of the images of the shapes that are compared [diameters]
+CORE = 0.5  # share of its height above which a dot's core lies
 SAME_HUE = 0.995  # cosine between the drive colours of letters that differ in intensity only
 
 
@@ -30,16 +34,29 @@ class Alphabet:
     share: np.ndarray
     upper: np.ndarray
     profiles: np.ndarray
+    appearances: list[np.ndarray]
 
 
 def sharp_profile(shape: str) -> float:
     """Logarithm of the radial kurtosis of a shape of the pattern, invariant under affine maps."""
-    mask = coverage(shape, 48.0, np.array([[30.0, 30.0]]), 61)[0]
-    y, x = np.mgrid[:61, :61] - 30.0
-    covariance = np.array([[(mask * x * x).sum(), (mask * x * y).sum()], [(mask * x * y).sum(), (mask * y * y).sum()]])
-    inverse = np.linalg.inv(covariance / mask.sum())
+    return _profile(coverage(shape, 48.0, np.array([[30.0, 30.0]]), 61)[0])
+
+
+def _profile(mass: np.ndarray) -> float:
+    """Logarithm of the radial kurtosis of a distribution (S, S), invariant under affine maps."""
+    y, x = np.mgrid[: len(mass), : len(mass)] - 0.5 * (len(mass) - 1)
+    covariance = np.array([[(mass * x * x).sum(), (mass * x * y).sum()], [(mass * x * y).sum(), (mass * y * y).sum()]])
+    inverse = np.linalg.inv(covariance / mass.sum())
     r2 = inverse[0, 0] * x * x + 2 * inverse[0, 1] * x * y + inverse[1, 1] * y * y
-    return float(np.log((mask * r2 * r2).sum() * mask.sum() / (mask * r2).sum() ** 2))
+    return float(np.log((mass * r2 * r2).sum() * mass.sum() / (mass * r2).sum() ** 2))
+
+
+def appearance(shape: str, blur: float) -> tuple[float, float]:
+    """What is measured of a shape's image under a blur [diameters]: log of the mean over its core, radial profile."""
+    mask = coverage(shape, 24.0, np.array([[36.0, 36.0]]), 73)[0]
+    image = cv2.GaussianBlur(mask, (0, 0), 24.0 * blur)
+    core = image[image >= CORE * image.max()].mean()
+    return float(np.log(core)), _profile(np.where(image >= FOOT_RATIO * image.max(), image, 0.0))
 
 
 def read_alphabet(pattern: Pattern) -> Alphabet:
@@ -65,6 +82,11 @@ def read_alphabet(pattern: Pattern) -> Alphabet:
     share /= share.sum()
     order = np.argsort(colour, axis=0)
     tail = [min(int(np.searchsorted(np.cumsum(share[one]), UPPER_TAIL)), len(one) - 1) for one in order.T]
+    drive = np.log(strength / strength.max())
+    appearances = [
+        np.array([np.add((drive[i], 0.0), appearance(names[shape[i]], blur)) for i in range(len(colour))])
+        for blur in (BLURS if len(names) > 1 else ())
+    ]
     return Alphabet(
         hue=hue,
         shape=shape,
@@ -74,4 +96,5 @@ def read_alphabet(pattern: Pattern) -> Alphabet:
         share=share,
         upper=np.sort(colour, axis=0)[tail, range(3)],
         profiles=np.array([sharp_profile(name) for name in names], np.float32),
+        appearances=appearances,
     )

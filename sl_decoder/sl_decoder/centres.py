@@ -36,7 +36,7 @@ class Dots:
     noise (N,) float32 uncertainty of a colour channel, counts; saturated (N,) float32 share of saturated core pixels;
     cut (N,) bool: touches the border of the image, or is lit so unevenly that its centre cannot be trusted;
     profile (N,) float32: logarithm of the affine-invariant radial kurtosis, which tells shapes apart (ring < disc <
-    square < cross, triangle).
+    square < cross, triangle); nan where it could not be measured.
     """
 
     centre: NDArray[np.float32]
@@ -199,7 +199,7 @@ def _measure(
         area[j] = int(n)
         saturated[j] = sat * r
         cut[j] = outside > zero
-        profile[j] = zero
+        profile[j] = np.float32(np.nan)
         rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
         ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
         variance, m = _ring_background(flat, rest.ravel(), h, w, cx, cy, rx, ry, circle, place, word, left, ring, back)

@@ -31,6 +31,9 @@ NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
 # log-odds asked of a dot beyond the limit, per kind of prediction: of a segmented dot, of a recovered one
 RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
+SURROUNDINGS = (7, 7)  # elements of the map whose letters tell whether they are in the right place together
+LEAST_TOGETHER = 4.0  # log-likelihood ratio that they must have
+MISREAD = 0.1  # share of letters that count nothing
 AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
 CHANCE = 0.03  # share of the dots on lattices that must be decoded: less is chance
 MEASURED = ("centre", "colour", "covariance", "area", "noise", "saturated", "signal", "evidence", "letter")
@@ -277,8 +280,21 @@ class Interpretation:
                 growth.REACH,
             )
             if turn and not added:
-                return
+                break
             self.judge(limit)
+        self._release(self._misplaced())
+
+    def _misplaced(self) -> NDArray[np.bool_]:
+        """Held elements (V, U) whose surroundings' letters do not speak for this place.
+
+        Letters that can hardly be told are outweighed one by one by what lies beside them; many of them are not."""
+        held = self.claim >= 0
+        evidence = placement_evidence(self.evidence[: self.n], self.alphabet.share)
+        ratio = np.exp(evidence[self.claim[held], self.book.letters[held]])
+        place = np.zeros(held.shape, np.float32)
+        place[held] = np.log(MISREAD + (1.0 - MISREAD) * ratio)
+        together = cv2.boxFilter(place, -1, SURROUNDINGS, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        return held & (together < LEAST_TOGETHER)
 
     def judge(self, limit: float) -> None:
         """Judge all claims; release the worst below `limit` and judge again until none is left."""

@@ -17,6 +17,7 @@ from sl_decoder.alphabet import UPPER_TAIL, Alphabet
 from sl_decoder.compiled import compiled
 from sl_decoder.intensity_field import first_levels, local_field
 from sl_decoder.letter_model import LetterModel, fit_model, log_signal
+from sl_decoder.shape_letters import read_shapes, with_shapes
 from sl_decoder.quantiles import quantile, sample
 
 CROSSTALK = 0.08  # share of a hue's strongest channel that every channel sees of it, before anything is known
@@ -89,36 +90,6 @@ def assign_hues(colour, use, direction, group):
     _nearest_hues(unit, direction, cosine, group)
 
 
-@compiled
-def split_shapes(profile, use, share, out):
-    """Shape (N,) of each dot from its radial kurtosis: ranks cut in the map's shares, then k-means in one dimension."""
-    shapes = len(share)
-    values = profile[use].copy()
-    values.sort()
-    n = len(values)
-    centre = np.zeros(shapes, np.float32)
-    low = 0.0
-    for s in range(shapes):
-        high = low + share[s]
-        centre[s] = values[min(n - 1, int(0.5 * (low + high) * n))] if n > 0 else np.float32(s)
-        low = high
-    for _ in range(8):
-        total = np.zeros(shapes)
-        number = np.zeros(shapes)
-        for i in range(len(profile)):
-            best = 0
-            for s in range(1, shapes):
-                if abs(profile[i] - centre[s]) < abs(profile[i] - centre[best]):
-                    best = s
-            out[i] = best
-            if use[i]:
-                total[best] += profile[i]
-                number[best] += 1
-        for s in range(shapes):
-            if number[s] > 0:
-                centre[s] = total[s] / number[s]
-
-
 def initial_letters(
     alphabet: Alphabet,
     centre: np.ndarray,
@@ -144,30 +115,21 @@ def initial_letters(
     n = len(colour)
     group = np.empty(n, np.int32)
     assign_hues(colour, enough, direction, group)
-    if shapes > 1:
-        shape = np.zeros(n, np.int32)
-        share = np.array([alphabet.share[alphabet.shape == s].sum() for s in range(shapes)])
-        split_shapes(profile, use, share, shape)
-        group = (group * shapes + shape).astype(np.int32)
-        direction = np.repeat(direction, shapes, axis=0)
-    signal = log_signal(colour, direction, group)
-    level = np.zeros(len(alphabet.group), np.float32)
     letter = np.zeros(n, np.int32)
     field = np.empty(n, np.float32)
     variance = np.empty(n, np.float32)
-    first_levels(
-        signal,
-        group,
-        near,
-        use,
-        alphabet.group,
-        alphabet.ranked,
-        alphabet.share,
-        hues * shapes,
-        level,
-        letter,
-        field,
-    )
+    signal = log_signal(colour, direction, group)
+    if shapes > 1:
+        letter, mixture = read_shapes(alphabet, group, signal, profile, near, use)
+        level = mixture.mean[:, 0].astype(np.float32)
+        direction = np.repeat(direction, shapes, axis=0)
+    else:
+        level = np.zeros(len(alphabet.group), np.float32)
+        first_levels(
+            signal, group, near, use, alphabet.group, alphabet.ranked, alphabet.share, hues, level, letter, field
+        )
     local_field(centre, signal, near, letter, level, use, field, variance)
     model = fit_model(alphabet, colour, profile, signal, field, letter, use, direction, level)
+    if shapes > 1:
+        model = with_shapes(model, mixture, alphabet)
     return model, signal, field, variance

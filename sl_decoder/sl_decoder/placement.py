@@ -74,8 +74,13 @@ def solve_placement(
                 members[count] = j
                 count += 1
     own = belief[members[:count]].copy()
+    # the whole window decides which label is first: a dot alone would follow neighbours that are all in the wrong place
     for s in range(count):
-        label[members[s]] = tangent(own[s])
+        total = own[s]
+        for step in around[1:]:
+            j = cell[at[members[s]] + step]
+            total += belief[j] if j >= 0 and work[j] != 0 else np.float32(0)
+        label[members[s]] = tangent(np.float32(0.5) * total)
     for _ in range(sweeps):
         moved = np.float32(0)
         for s in range(count):

@@ -59,6 +59,17 @@ def test_another_pattern_of_the_same_letters_gives_nothing() -> None:
         assert len(DECODER.decode(camera_image(other, 640, 480, seed=seed))) == 0
 
 
+@pytest.mark.parametrize("blur", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("scale", [0.28, 0.4, 0.5])
+def test_shapes_and_intensities_that_blur_alike_are_told_apart(scale: float, blur: float) -> None:
+    pattern = monochrome_pattern()
+    affine = view(pattern, angle=0.7, scale=scale, seed=1)
+    decoded = Decoder(pattern).decode(project(pattern, affine, blur=blur))
+    at = pattern.centers @ affine[:, :2].T + affine[:, 2]
+    assert len(decoded) >= 0.97 * ((at > 8) & (at < np.array([631, 471]))).all(-1).sum()
+    assert (errors(decoded, affine) < 2.0).all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noisy_dots_seen_from_near_are_read(seed: int) -> None:
     affine = view(PATTERN, angle=0.7 + seed, scale=6.0, seed=seed)
