@@ -154,6 +154,7 @@ class Interpretation:
         lattices. blur: of the metric in which they are linked [px^2], none is right for all dots of all images; None:
         as the paper links them.
         """
+        self._release_misplaced()
         free = np.flatnonzero((self.holder_v[: self.segmented] < 0) & ~self.mirrored_dots)
         if len(free) < len(self.book.lattice.window):
             return 0
@@ -280,12 +281,11 @@ class Interpretation:
                 growth.REACH,
             )
             if turn and not added:
-                break
+                return
             self.judge(limit)
-        self._release(self._misplaced())
 
-    def _misplaced(self) -> NDArray[np.bool_]:
-        """Held elements (V, U) whose surroundings' letters do not speak for this place.
+    def _release_misplaced(self) -> None:
+        """Release the dots whose surroundings' letters do not speak for this place.
 
         Letters that can hardly be told are outweighed one by one by what lies beside them; many of them are not."""
         held = self.claim >= 0
@@ -294,7 +294,7 @@ class Interpretation:
         place = np.zeros(held.shape, np.float32)
         place[held] = np.log(MISREAD + (1.0 - MISREAD) * ratio)
         together = cv2.boxFilter(place, -1, SURROUNDINGS, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        return held & (together < LEAST_TOGETHER)
+        self._release(held & (together < LEAST_TOGETHER))
 
     def judge(self, limit: float) -> None:
         """Judge all claims; release the worst below `limit` and judge again until none is left."""
@@ -348,6 +348,7 @@ class Interpretation:
         Where a dot has no neighbours on one side, half a dot of its letter is what it is most easily taken for: there
         more than `limit` is asked. Lattices of which next to nothing agrees with the map are another pattern's.
         """
+        self._release_misplaced()
         held = judgement.release_doubtful(
             self.claim,
             self.belief,
@@ -376,6 +377,7 @@ class Interpretation:
 
     def refit(self) -> None:
         """Fit the letter model to the decoded dots, and weigh all letters again."""
+        self._release_misplaced()
         n, model = self.n, self.model
         assert model is not None
         held = self.holder_v[:n] >= 0

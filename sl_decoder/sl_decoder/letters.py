@@ -17,8 +17,8 @@ from sl_decoder.alphabet import UPPER_TAIL, Alphabet
 from sl_decoder.compiled import compiled
 from sl_decoder.intensity_field import first_levels, local_field
 from sl_decoder.letter_model import LetterModel, fit_model, log_signal
-from sl_decoder.shape_letters import read_shapes, with_shapes
 from sl_decoder.quantiles import quantile, sample
+from sl_decoder.shape_letters import read_shapes, with_shapes
 
 CROSSTALK = 0.08  # share of a hue's strongest channel that every channel sees of it, before anything is known
 

@@ -1,9 +1,9 @@
-"""First reading of letters that differ in shape: all letters of a hue told apart by intensity and radial profile together.
+"""First reading of letters that differ in shape: all of a hue told apart by intensity and radial profile together.
 
-How bright and how peaked a shape's image is depends on the blur as much as on the letter: a blurred ring is darker than a
-disc and may be as dark as a disc of the next intensity. So the letters are a mixture of as many normal distributions in
-(log signal over its surroundings, radial profile), with the map's shares. It is begun at the places where the letters'
-images lie under several blurs, fitted by expectation maximisation, and the likeliest is taken.
+How bright and how peaked a shape's image is depends on the blur as much as on the letter: a blurred ring is darker than
+a disc and may be as dark as a disc of the next intensity. So the letters are a mixture of as many normal distributions
+in (log signal over its surroundings, radial profile), with the map's shares. It is begun at the places where the
+letters' images lie under several blurs, fitted by expectation maximisation, and the likeliest is taken.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 FIRST_SPREAD = np.array([0.15, 0.05])  # of log signal and profile
 LEAST_SPREAD = np.array([0.03, 0.01])
 OUTLIERS = 0.05  # share of dots that are no letter's
-RANGE = 4.0 * 1.0  # of log signal times profile, over which those are spread
+RANGE = 4.0  # of log signal times that of the profile, over which those are spread
 SAMPLE = 600  # dots from which the blur is told
 FIRST_ROUNDS = 8
 FIELD_ROUNDS = 3

@@ -27,7 +27,8 @@ def saturated() -> tuple[np.ndarray, Reason]:
     image = clean().astype(float)
     y, x = np.mgrid[:960, :1280]
     flash = np.exp(-((x - 640) ** 2 + (y - 480) ** 2) / (2 * 90**2))[..., None]
-    return np.clip(image + 60 * flash * np.maximum(image - 60, 0), 0, 255).astype(np.uint8), Reason.SATURATED
+    washed_out = image + 60 * flash * np.maximum(image - 25, 0)
+    return np.clip(washed_out, 0, 255).astype(np.uint8), Reason.SATURATED
 
 
 def too_small() -> tuple[np.ndarray, Reason]:
