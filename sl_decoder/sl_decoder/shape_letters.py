@@ -22,8 +22,8 @@ FIRST_SPREAD = np.array([0.15, 0.05])  # of log signal and profile
 LEAST_SPREAD = np.array([0.03, 0.01])
 OUTLIERS = 0.05  # share of dots that are no letter's
 RANGE = 4.0  # of log signal times that of the profile, over which those are spread
-SAMPLE = 600  # dots from which the blur is told
-FIRST_ROUNDS = 8
+SAMPLE = 300  # dots from which the blur is told
+FIRST_ROUNDS = 6
 FIELD_ROUNDS = 3
 ROUNDS = 3
 TIED = 20.0  # dots' worth of a spread that all letters have in common
@@ -36,33 +36,38 @@ class Mixture(NamedTuple):
     spread: Array
 
 
-def weigh(mixture: Mixture, share: Array, x: Array) -> tuple[Array, float]:
-    """Probability (N, A) of each letter for measures x (N, 2), and the mean logarithm of their density.
+def features(x: Array) -> Array:
+    """What mixtures are weighed and fitted with (N, 6): squares, values and presence of measures x (N, 2), nan: none."""
+    known = ~np.isnan(x)
+    value = np.where(known, x, 0.0)
+    return np.hstack([value * value, value, known])
 
-    share (N, A): before measuring. A profile that is nan was not measured and tells nothing."""
-    z = (x[:, None] - mixture.mean) / mixture.spread
-    unknown = np.isnan(z)
-    exponent = np.where(unknown, 0.0, -0.5 * z * z - np.log(mixture.spread)).sum(2)
-    density = share * np.exp(exponent) / (2.0 * np.pi)
+
+def weigh(mixture: Mixture, share: Array, of: Array) -> tuple[Array, float]:
+    """Probability (N, A) of each letter for dots of `features` (N, 6), and the mean logarithm of their density.
+
+    share (N, A): before measuring. A measure that is nan tells nothing.
+    """
+    precision = mixture.spread**-2.0
+    constant = precision * mixture.mean**2 - np.log(precision)
+    exponent = of @ np.hstack([precision, -2.0 * precision * mixture.mean, constant]).T
+    density = share * np.exp(-0.5 * exponent) / (2.0 * np.pi)
     total = density.sum(1) + OUTLIERS / RANGE
     return density / total[:, None], float(np.log(total).mean())
 
 
-def fit(mixture: Mixture, share: Array, x: Array, rounds: int) -> tuple[Mixture, Array, float]:
-    """Expectation maximisation; returns the mixture, the letters' probabilities (N, A), and the mean log density."""
+def fit(mixture: Mixture, share: Array, of: Array, rounds: int) -> tuple[Mixture, float]:
+    """Expectation maximisation; returns the mixture and the mean log density it gave before the last round."""
+    density = -np.inf
     for _ in range(rounds):
-        probability, _ = weigh(mixture, share, x)
-        known = ~np.isnan(x)
-        value = np.where(known, x, 0.0)
-        weight = probability.T @ known  # (A, 2)
-        mean = (probability.T @ value + mixture.mean) / (weight + 1.0)
-        square = np.stack(
-            [(probability * (value[:, None, c] - mean[:, c]) ** 2 * known[:, None, c]).sum(0) for c in (0, 1)], 1
-        )
+        probability, density = weigh(mixture, share, of)
+        square, value, weight = np.split(probability.T @ of, 3, axis=1)  # each (A, 2)
+        mean = (value + mixture.mean) / (weight + 1.0)
+        square += mean * (mean * weight - 2.0 * value)
         common = square.sum(0) / np.maximum(weight.sum(0), 1.0)
         spread = np.sqrt((square + TIED * common) / (weight + TIED))
         mixture = Mixture(mean, np.maximum(spread, LEAST_SPREAD))
-    return mixture, *weigh(mixture, share, x)
+    return mixture, density
 
 
 def read_shapes(
@@ -90,22 +95,22 @@ def read_shapes(
     chosen = np.flatnonzero(use)
     few = chosen[:: max(1, len(chosen) // SAMPLE)]
     best, highest = None, -np.inf
-    for appearance in alphabet.appearances:
+    for appearance in alphabet.appearances:  # (A, 2)
         expected = appearance.copy()
         for h in range(int(alphabet.hue.max()) + 1):
             letters = alphabet.hue == h
             expected[letters, 0] -= np.average(appearance[letters, 0], weights=alphabet.share[letters])
         begun = Mixture(expected, np.tile(FIRST_SPREAD, (len(expected), 1)))
-        mixture, _, density = fit(begun, share[few], x[few], FIRST_ROUNDS)
+        mixture, density = fit(begun, share[few], features(x[few]), FIRST_ROUNDS)
         if density > highest:
             best, highest = mixture, density
     assert best is not None
     for _ in range(FIELD_ROUNDS):
-        probability, _ = weigh(best, share, x)
+        probability, _ = weigh(best, share, features(x))
         level = probability @ best.mean[:, 0]
         x[:, 0] = relative - surroundings(relative - level)
-        best, _, _ = fit(best, share[few], x[few], ROUNDS)
-    probability, _ = weigh(best, share, x)
+        best, _ = fit(best, share[few], features(x[few]), ROUNDS)
+    probability, _ = weigh(best, share, features(x))
     return np.argmax(probability, axis=1).astype(np.int32), best
 
 
