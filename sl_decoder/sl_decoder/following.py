@@ -10,7 +10,9 @@ import numpy as np
 from sl_decoder.compiled import compiled
 from sl_decoder.growth import UNPREDICTED, predict
 from sl_decoder.letter_model import letter_evidence, mixtures, neighbours_field, projected_signal
-from sl_decoder.matched import WORK, measure_at
+from sl_decoder.matched import FOUND, WORK, measure_at
+
+STILL_LIT = 0.5  # share of its signal in the last image from which a dot under its prediction is taken for the same
 
 
 @compiled
@@ -18,6 +20,8 @@ def follow(
     index,
     place,
     shape,
+    before,
+    every,
     claim,
     smooth,
     map_letters,
@@ -35,21 +39,25 @@ def follow(
     holder_u,
     holder_v,
 ):
-    """Measure all dots around their predicted places.
+    """Measure the dots, of each `every` one, around their predicted places.
 
-    index (V, U) int32: row of `place` (N, 2) predicted px and `shape` (N, 3) (footprint in lattice units) or -1.
-    Writes the per-dot arrays, claim (V, U) and the holders; returns the number of dots found.
+    index (V, U) int32: row of `place` (N, 2) predicted px and `shape` (N, 3) (footprint in lattice units) and
+    `before` (N, 3) (B, G, R in the last image), or -1.
+    Writes the per-dot arrays, claim (V, U) and the holders; returns the number of dots found. Covariances are measured
+    under the weight, which bounds them, and scaled so that their mean is that of the footprints: as in a full decoding,
+    dots that an edge cuts differ from their neighbours.
     """
     rows, cols = index.shape
-    found = np.empty(7, np.float32)
+    found = np.empty(FOUND, np.float32)
     work = np.empty(WORK, np.float32)
     mixes = mixtures(model.direction)
     n = 0
+    expected = measured = np.float32(0)
     for v in range(rows):
         for u in range(cols):
             claim[v, u] = -1
             i = index[v, u]
-            if i < 0:
+            if i < 0 or i % every:
                 continue
             _, _, kind, ax, ay, bx, by = predict(index, place, v, u, steps)
             if kind == UNPREDICTED:
@@ -61,19 +69,25 @@ def follow(
             cyy = ay * ay * kxx + 2 * ay * by * kxy + by * by * kyy
             g = model.group[map_letters[v, u]]
             px, py = place[i, 0], place[i, 1]
+            mix = mixes[g]
+            least = mix[0] * before[i, 0] + mix[1] * before[i, 1] + mix[2] * before[i, 2]
+            least *= np.float32(STILL_LIT)
             if not measure_at(
-                smooth, px, py, cxx, cxy, cyy, mixes[g], ax, ay, bx, by, np.float32(reach), circle, work, found
+                smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, np.float32(reach), least, circle, work, found
             ):
                 continue
             centre[n, 0], centre[n, 1] = found[0], found[1]
             colour[n, 0], colour[n, 1], colour[n, 2] = found[2], found[3], found[4]
-            covariance[n, 0], covariance[n, 1], covariance[n, 2] = cxx, cxy, cyy
-            noise[n] = found[5]
-            saturated[n] = found[6]
+            covariance[n, 0], covariance[n, 1], covariance[n, 2] = found[6], found[7], found[8]
+            expected += cxx + cyy
+            measured += found[6] + found[8]
+            saturated[n] = found[5]
+            noise[n] = found[9]
             signal[n] = projected_signal(found[2], found[3], found[4], model.direction[g]) - offset
             claim[v, u] = n
             holder_v[n], holder_u[n] = v, u
             n += 1
+    covariance[:n] *= expected / max(measured, np.float32(1e-3))
     return n
 
 

@@ -69,6 +69,7 @@ class Interpretation:
         self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
         self.model: LetterModel | None = None
         self.accepted = 0
+        self.tracked = False
         self.mirrored = False
         self.mirrored_dots = np.zeros(n, np.bool_)
         self.at = np.full(n, -1, np.int32)
@@ -109,6 +110,7 @@ class Interpretation:
 
     def set_tracked(self, n: int) -> None:
         """Mark the first n dots as measured around predictions: claimed already, without a graph."""
+        self.tracked = True
         self.n = self.segmented = n
         self.links = np.full((n, self.book.lattice.directions), -1, np.int32)
         self.at = np.zeros(n, np.int32)
@@ -361,9 +363,9 @@ class Interpretation:
             self.holder_v,
         )
         if held < CHANCE * np.count_nonzero(self.at >= 0):
-            self._release(self.claim >= 0)
+            self.release(self.claim >= 0)
 
-    def _release(self, elements: NDArray[np.bool_]) -> None:
+    def release(self, elements: NDArray[np.bool_]) -> None:
         """Take the dots of these held elements (V, U) away from them."""
         self.holder_u[self.claim[elements]] = -1
         self.holder_v[self.claim[elements]] = -1
@@ -451,8 +453,9 @@ class Interpretation:
         )
         if self.n > before:
             self.judge(limit)
-            # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
-            self._release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
+            if not self.tracked:
+                # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
+                self.release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
 
     def make_room(self, more: int) -> None:
         """Room for so many more dots behind the first `n`."""

@@ -15,69 +15,202 @@ from sl_decoder.compiled import compiled
 from sl_decoder.planes import SATURATED
 
 WEIGHT = 2.6  # the weight is zero at this many times the size of the core
+LANES = 64  # pixels of a window that are summed at once
 LEAST_CONTRAST = 2.5  # standard deviations that a dot's mean must stand above its background
-LANES = 8  # pixels that are summed at once
+STEPS = 4  # at most, towards the centroid
+SETTLED = 0.1  # a step [px] after which the centroid has been reached: the next would be a tenth of it
+SLOPE = 0.3  # of the centroid against the middle of the weight, at least; that of a disc is a quarter to a half
+MERGED_SLOPE = 0.67  # for dots that were searched: with long steps, what merged with a neighbour would slide into it
+MARGIN = 0.8  # px from the middle of a window, beyond which the next steps are made in another one
+CUTS = 4  # windows at most
 
 SAMPLES = 16
-WORK = 3 + 4 * SAMPLES + 65536
-"""Numbers that `measure_at` needs to work with: for windows of up to 256 by 256 pixels."""
+LARGEST = 128  # side of a window [px]
+WORK = 4 * SAMPLES + 3 * LARGEST * LARGEST
+"""Numbers that `measure_at` needs to work with."""
+FOUND = 10
+"""Numbers that `measure_at` finds."""
 
 _ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
 CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 
 @compiled
-def _surroundings(smooth, px, py, sx, sy, mix, circle, ring, back):
-    """Background around a dot at (px, py): mean (3,) of the darker half of the samples on the ellipse (sx, sy).
+def _surroundings(smooth, px, py, sx, sy, mix, circle, work):
+    """Background around a dot at (px, py): mean of the darker half of the samples on the ellipse (sx, sy).
 
-    Neighbouring dots may cover the others. ring (4, S) float32: work space. Returns the background's noise and the
-    level of its darker quarter under the mixture `mix`.
+    Neighbouring dots may cover the others. work (4 S,) float32. Returns its three channels, its noise and the level of
+    its darker quarter under the mixture `mix`.
     """
-    n = SAMPLES
-    order = np.empty(SAMPLES, np.int32)
-    for k in range(n):
+    s = SAMPLES
+    one, zero = np.float32(1), np.float32(0)
+    for k in range(s):
         x = int(px + sx * circle[k, 0] + np.float32(0.5))
         y = int(py + sy * circle[k, 1] + np.float32(0.5))
-        p0, p1, p2 = np.float32(smooth[0, y, x]), np.float32(smooth[1, y, x]), np.float32(smooth[2, y, x])
-        ring[1, k], ring[2, k], ring[3, k] = p0, p1, p2
-        # distinct keys: equal values keep their order
-        ring[0, k] = mix[0] * p0 + mix[1] * p1 + mix[2] * p2 + np.float32(k) * np.float32(1e-3)
-    for k in range(SAMPLES):
-        before = np.int32(0)
-        for j in range(SAMPLES):
-            before += np.int32(ring[0, j] < ring[0, k])
-        order[k] = before
-    half = n >> 1
-    b0 = b1 = b2 = lowest = quarter = middle = np.float32(0)
-    for k in range(n):
-        value = ring[0, k]
-        before = order[k]
-        use = np.float32(before < half)
-        b0 += use * ring[1, k]
-        b1 += use * ring[2, k]
-        b2 += use * ring[3, k]
-        lowest = value if before == 0 else lowest
-        quarter = value if before == half >> 1 else quarter
-        middle = value if before == half else middle
-    back[0], back[1], back[2] = b0 / half, b1 / half, b2 / half
+        work[k] = np.float32(smooth[0, y, x])
+        work[s + k] = np.float32(smooth[1, y, x])
+        work[2 * s + k] = np.float32(smooth[2, y, x])
+    for k in range(s):
+        value = mix[0] * work[k] + mix[1] * work[s + k] + mix[2] * work[2 * s + k]
+        work[3 * s + k] = value + np.float32(k) * np.float32(1e-3)  # distinct: of equal ones the first is the darker
+    half = s >> 1
+    b0 = b1 = b2 = lowest = quarter = middle = zero
+    for k in range(s):
+        value = work[3 * s + k]
+        rank = zero
+        for j in range(s):
+            rank += one if work[3 * s + j] < value else zero
+        use = one if rank < half else zero
+        b0 += use * work[k]
+        b1 += use * work[s + k]
+        b2 += use * work[2 * s + k]
+        lowest += value if rank == 0 else zero
+        quarter += value if rank == half >> 1 else zero
+        middle += value if rank == half else zero
     # the lower half's mean lies 0.8 sigma below, its span to the median is about 2 sigma of 16 samples
-    return max((middle - lowest) / np.float32(1.9), np.float32(0.6)), quarter
+    sigma = max((middle - lowest) / np.float32(1.9), np.float32(0.6))
+    share = one / np.float32(half)
+    return b0 * share, b1 * share, b2 * share, sigma, quarter
 
 
 @compiled
-def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, circle, work, out):
+def _cut_out(smooth, px, py, hx, hy, window):
+    """Cut out of an image what lies within (hx, hy) of (px, py): lists of B, G, R in `window`, one after the other.
+
+    Returns left, top and the number of columns, as its power of two, and of rows; 0 rows where it does not fit.
+    """
+    _, h, w = smooth.shape
+    cols, shift = 8, 3
+    while cols < 2 * hx + 1:
+        cols, shift = 2 * cols, shift + 1
+    step = max(1, LANES // cols)
+    rows = (int(2 * hy) + step + 1) // step * step
+    left = max(0, min(int(px - np.float32(0.5) * np.float32(cols - 2)), w - cols))
+    top = max(0, min(int(py - np.float32(0.5) * np.float32(rows - 2)), h - rows))
+    size = rows * cols
+    if 3 * size > len(window) or cols > w or rows > h:
+        return left, top, shift, 0
+    for c in range(3):
+        for y in range(rows):
+            # slices: the compiler then sees how they lie, and makes vectors of this
+            row = smooth[c, top + y, left : left + cols]
+            to = window[c * size + y * cols : c * size + y * cols + cols]
+            for x in range(cols):
+                to[x] = np.float32(row[x])
+    return left, top, shift, rows
+
+
+@compiled
+def _weigh(window, shift, rows, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
+    """What stands above `offset`, under the weight of an ellipse around (mx, my): out (9,) gets Newton's step from there
+    to the point that is the centroid under the weight around it; mean B, G, R, share of saturated pixels, and covariance
+    xx, xy, yy. slope: see SLOPE. Returns False where there is no such point."""
+    one, zero = np.float32(1), np.float32(0)
+    size, mask = rows << shift, (1 << shift) - 1
+    w0, w1, w2 = mix[0], mix[1], mix[2]
+    c0 = c1 = c2 = weight = saturated = tx = ty = total = lost = xx = xy = yy = zero
+    for k in range(size):
+        dx = np.float32(np.int32(k & mask)) - mx
+        dy = np.float32(np.int32(k >> shift)) - my
+        p0, p1, p2 = window[k], window[k + size], window[k + 2 * size]
+        q = max(one - (ixx * dx * dx + ixy * dx * dy + iyy * dy * dy), zero)
+        g = q * q
+        weight += g
+        c0 += g * p0
+        c1 += g * p1
+        c2 += g * p2
+        saturated += g if max(max(p0, p1), p2) >= np.float32(SATURATED) else zero
+        height = w0 * p0 + w1 * p1 + w2 * p2 - offset
+        lost += (q - g) * height
+        g *= height
+        total += g
+        tx += g * dx
+        ty += g * dy
+        xx += g * dx * dx
+        xy += g * dx * dy
+        yy += g * dy * dy
+    # how the weighted sums of dx and dy fall along the way, the mean of the two axes
+    fall = max(total - np.float32(2) * lost, slope * total)
+    if fall <= zero:
+        return False
+    out[0], out[1] = tx / fall, ty / fall
+    share = one / weight
+    out[2], out[3], out[4], out[5] = c0 * share, c1 * share, c2 * share, saturated * share
+    share = one / total
+    out[6], out[7], out[8] = xx * share, xy * share, yy * share
+    return True
+
+
+@compiled
+def _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, slope, window, out):
+    """Follow the centroid from (px, py) to its fixed point: out (9,) gets this point, and what `_weigh` gives there.
+
+    Returns whether there is one."""
+    one = np.float32(1)
+    hx, hy = np.float32(WEIGHT) * np.sqrt(cxx), np.float32(WEIGHT) * np.sqrt(cyy)
+    norm = one / (max(cxx * cyy - cxy * cxy, np.float32(1e-3)) * np.float32(WEIGHT * WEIGHT))
+    ixx, ixy, iyy = cyy * norm, -2 * cxy * norm, cxx * norm
+    right, bottom = smooth.shape[2] - hx, smooth.shape[1] - hy
+    x, y = px, py
+    for _ in range(CUTS):
+        if not (hx <= x < right and hy <= y < bottom):
+            return False
+        left, top, shift, rows = _cut_out(smooth, x, y, hx, hy, window)
+        if rows == 0:
+            return False
+        x0, y0 = x, y
+        for _ in range(STEPS):
+            if not _weigh(window, shift, rows, x - left, y - top, ixx, ixy, iyy, mix, offset, slope, out):
+                return False
+            tx, ty = out[0], out[1]
+            x += tx
+            y += ty
+            if tx * tx + ty * ty < np.float32(SETTLED * SETTLED):
+                out[0], out[1] = x, y
+                return True
+            if abs(x - x0) + abs(y - y0) > np.float32(MARGIN):
+                break
+    return False
+
+
+@compiled
+def _search(smooth, px, py, mix, ax, ay, bx, by, reach, dark):
+    """The highest place within `reach` of (px, py) in the lattice a, b [px]; what is further away counts less."""
+    h, w = smooth.shape[1], smooth.shape[2]
+    one = np.float32(1)
+    rx = int(reach * (abs(ax) + abs(bx)) + np.float32(0.5))
+    ry = int(reach * (abs(ay) + abs(by)) + np.float32(0.5))
+    cx, cy = int(px + np.float32(0.5)), int(py + np.float32(0.5))
+    best = np.float32(-1e9)
+    mx, my = px, py
+    scale = one / ((ax * by - ay * bx) * reach)
+    for y in range(max(1, cy - ry), min(h - 1, cy + ry + 1)):
+        ey = (np.float32(y) - py) * scale
+        for x in range(max(1, cx - rx), min(w - 1, cx + rx + 1)):
+            ex = (np.float32(x) - px) * scale
+            s = ex * by - ey * bx
+            t = ax * ey - ay * ex
+            r2 = s * s + t * t
+            value = mix[0] * smooth[0, y, x] + mix[1] * smooth[1, y, x] + mix[2] * smooth[2, y, x]
+            value = (value - dark) * (one - np.float32(0.5) * r2)
+            if value > best and (r2 <= one or (x == cx and y == cy)):
+                best = value
+                mx, my = np.float32(x), np.float32(y)
+    return mx, my
+
+
+@compiled
+def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, least, circle, work, out):
     """Find and measure the dot near (px, py).
 
     smooth (3, H, W) uint8; cxx, cxy, cyy expected core covariance [px^2]; mix (3,) expected share of the channels; a, b
-    local lattice basis [px], in which `reach` bounds the search; circle (S, 2); work (WORK,) float32. out (7,) float32
-    gets x, y, B, G, R above the background, their noise, and the share of saturated core pixels. Returns False where no
-    dot stands out.
+    local lattice basis [px], in which `reach` bounds the search; circle (S, 2); work (WORK,) float32. The dot under the
+    prediction is taken if its mean signal is at least `least`, else the highest place around is searched.
+    out (FOUND,) float32 gets x, y, B, G, R above the background, the share of saturated pixels, the covariance xx, xy, yy
+    under the weight, whose own width bounds it, and the noise of a channel. Returns False where no dot stands out.
     """
     h, w = smooth.shape[1], smooth.shape[2]
     one, zero = np.float32(1), np.float32(0)
-    px, py = np.float32(px), np.float32(py)
-    cxx, cxy, cyy = np.float32(cxx), np.float32(cxy), np.float32(cyy)
-    ax, ay, bx, by = np.float32(ax), np.float32(ay), np.float32(bx), np.float32(by)
     det_ab = ax * by - ay * bx
     if det_ab <= np.float32(1e-3):
         return False
@@ -86,110 +219,27 @@ def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, circle
     sy = np.float32(3.2) * deviation_y + np.float32(1.5)
     if not (sx <= px < w - sx - 1 and sy <= py < h - sy - 1):
         return False
-    n = len(circle)
-    back = work[:3]
-    sigma, dark = _surroundings(smooth, px, py, sx, sy, mix, circle, work[3 : 3 + 4 * n].reshape((4, n)), back)
+    b0, b1, b2, sigma, dark = _surroundings(smooth, px, py, sx, sy, mix, circle, work)
+    window = work[4 * SAMPLES :]
     w0, w1, w2 = mix[0], mix[1], mix[2]
-    # the mixture over all that the search and the weights around any place it may find can touch
-    rx = int(reach * (abs(ax) + abs(bx)) + np.float32(0.5))
-    ry = int(reach * (abs(ay) + abs(by)) + np.float32(0.5))
-    hx = np.float32(WEIGHT) * deviation_x
-    hy = np.float32(WEIGHT) * deviation_y
-    cx0, cy0 = int(px + np.float32(0.5)), int(py + np.float32(0.5))
-    left, right = max(0, cx0 - rx - int(hx) - 1), min(w, cx0 + rx + int(hx) + 2)
-    top, bottom = max(0, cy0 - ry - int(hy) - 1), min(h, cy0 + ry + int(hy) + 2)
-    stride = (right - left + LANES - 1) // LANES * LANES
-    left = max(0, min(left, w - stride))
-    cols = min(stride, w - left)
-    if (bottom - top) * stride > len(work) - 3 - 4 * n:
-        return False
-    window = work[3 + 4 * n : 3 + 4 * n + (bottom - top) * stride].reshape((bottom - top, stride))
-    for y in range(top, bottom):
-        blue, green, red = smooth[0, y, left:], smooth[1, y, left:], smooth[2, y, left:]
-        to = window[y - top]
-        for x in range(cols):
-            to[x] = w0 * np.float32(blue[x]) + w1 * np.float32(green[x]) + w2 * np.float32(red[x])
-        to[cols:] = zero
-    # search: the highest place near the prediction
-    best = np.float32(-1e9)
-    mx, my = px, py
-    scale = one / (det_ab * reach)
-    for y in range(max(1, cy0 - ry), min(h - 1, cy0 + ry + 1)):
-        ey = (np.float32(y) - py) * scale
-        row = window[y - top]
-        for x in range(max(1, cx0 - rx), min(w - 1, cx0 + rx + 1)):
-            ex = (np.float32(x) - px) * scale
-            s = ex * by - ey * bx
-            t = ax * ey - ay * ex
-            r2 = s * s + t * t
-            value = (row[x - left] - dark) * (one - np.float32(0.5) * r2)
-            if value > best and (r2 <= one or (x == cx0 and y == cy0)):
-                best = value
-                mx, my = np.float32(x), np.float32(y)
-    offset = w0 * back[0] + w1 * back[1] + w2 * back[2]
-    det = max(cxx * cyy - cxy * cxy, np.float32(1e-3))
-    norm = one / (det * np.float32(WEIGHT * WEIGHT))
-    ixx, ixy, iyy = cyy * norm, -2 * cxy * norm, cxx * norm
-    for _ in range(4):
-        x0 = max(left, min(left + stride - LANES, int(mx - hx)))
-        x1 = min(left + stride, x0 + (int(mx + hx) + LANES - x0) // LANES * LANES)
-        tx = ty = total = zero
-        for y in range(max(top, int(my - hy + one)), min(bottom - 1, int(my + hy)) + 1):
-            dy = np.float32(y) - my
-            row = window[y - top, x0 - left : x1 - left]
-            start = np.float32(x0) - mx
-            a0 = one - iyy * dy * dy
-            a1 = ixy * dy
-            for x in range(len(row)):
-                dx = np.float32(x) + start
-                g = max(a0 - dx * (a1 + ixx * dx), zero)
-                g = g * g * (row[x] - offset)
-                total += g
-                tx += g * dx
-                ty += g * dy
-        if total <= 0:
+    offset = w0 * b0 + w1 * b1 + w2 * b2
+    good = False
+    if least < np.inf and _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, np.float32(SLOPE), window, out):
+        good = w0 * out[2] + w1 * out[3] + w2 * out[4] - offset >= least
+    if not good:
+        x, y = _search(smooth, px, py, mix, ax, ay, bx, by, reach, dark)
+        if not _settle(smooth, x, y, cxx, cxy, cyy, mix, offset, np.float32(MERGED_SLOPE), window, out):
             return False
-        tx = np.float32(1.5) * tx / total
-        ty = np.float32(1.5) * ty / total
-        mx += tx
-        my += ty
-        if tx * tx + ty * ty < np.float32(1e-4):
-            break
-    ex, ey = (mx - px) * scale, (my - py) * scale
+    ex, ey = (out[0] - px) / (det_ab * reach), (out[1] - py) / (det_ab * reach)
     s = ex * by - ey * bx
     t = ax * ey - ay * ex
     if s * s + t * t > one:
         return False
-    # colour: mean over the core (the ellipse of two standard deviations, which a disc fills)
-    hx = np.float32(2.0) * deviation_x
-    hy = np.float32(2.0) * deviation_y
-    norm = np.float32(0.25) / det
-    ixx, ixy, iyy = cyy * norm, -2 * cxy * norm, cxx * norm
-    c0 = c1 = c2 = m = saturated = zero
-    x0, x1 = max(0, int(mx - hx + one)), min(w - 1, int(mx + hx)) + 1
-    start = np.float32(x0) - mx
-    for y in range(max(0, int(my - hy + one)), min(h - 1, int(my + hy)) + 1):
-        dy = np.float32(y) - my
-        blue, green, red = smooth[0, y, x0:x1], smooth[1, y, x0:x1], smooth[2, y, x0:x1]
-        a0 = one - iyy * dy * dy
-        a1 = ixy * dy
-        for x in range(len(blue)):
-            dx = np.float32(x) + start
-            use = one if dx * (a1 + ixx * dx) <= a0 else zero
-            p0, p1, p2 = np.float32(blue[x]), np.float32(green[x]), np.float32(red[x])
-            c0 += use * p0
-            c1 += use * p1
-            c2 += use * p2
-            m += use
-            saturated += use if max(max(p0, p1), p2) >= SATURATED else zero
-    if m == 0:
-        return False
-    out[0] = mx
-    out[1] = my
-    out[2] = c0 / m - back[0]
-    out[3] = c1 / m - back[1]
-    out[4] = c2 / m - back[2]
-    spread = sigma * np.sqrt(one / np.float32(n >> 1) + one / max(one, m / np.float32(3)))
-    out[5] = spread
-    out[6] = saturated / m
-    return w0 * out[2] + w1 * out[3] + w2 * out[4] > np.float32(LEAST_CONTRAST) * spread
+    out[2] -= b0
+    out[3] -= b1
+    out[4] -= b2
+    # neighbouring pixels share the filter: about three of the core's count as one
+    core = np.float32(4 * np.pi) * np.sqrt(max(cxx * cyy - cxy * cxy, zero))
+    noise = sigma * np.sqrt(one / np.float32(SAMPLES >> 1) + one / max(one, core / np.float32(3)))
+    out[9] = noise
+    return w0 * out[2] + w1 * out[3] + w2 * out[4] > np.float32(LEAST_CONTRAST) * noise

@@ -14,11 +14,12 @@ import numpy as np
 from sl_decoder.compiled import compiled
 from sl_decoder.growth import EXTRAPOLATED, UNPREDICTED, lattice_error, predict
 from sl_decoder.letter_model import evidence_of_one, mixtures, neighbours_field, projected_signal
-from sl_decoder.matched import WORK, measure_at
+from sl_decoder.matched import FOUND, WORK, measure_at
 
 REACH = 0.3  # search radius around the prediction, lattice units
 OFFSET_SAMPLES = 100  # dots that are measured both ways to find how the two ways differ
 UNKNOWN_OFFSET = np.float32(np.nan)
+SEARCHED = np.float32(np.inf)  # nothing under the prediction is taken without a look around it
 APART = 0.5  # a recovered dot keeps this distance from all held ones, lattice units
 
 
@@ -45,7 +46,7 @@ def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps
     """Median difference of the log signal as `measure_at` measures it from that of the segmented dots."""
     rows, cols = claim.shape
     values = np.empty(OFFSET_SAMPLES, np.float32)
-    found = np.empty(7, np.float32)
+    found = np.empty(FOUND, np.float32)
     work = np.empty(WORK, np.float32)
     mixes = mixtures(model.direction)
     n = 0
@@ -80,6 +81,7 @@ def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps
                 bx,
                 by,
                 np.float32(0.2),
+                np.float32(0),
                 circle,
                 work,
                 found,
@@ -127,7 +129,7 @@ def recover(
     waiting = np.zeros((rows, cols), np.bool_)
     tail = 0
     head = 0
-    found = np.empty(7, np.float32)
+    found = np.empty(FOUND, np.float32)
     work = np.empty(WORK, np.float32)
     mixes = mixtures(model.direction)
     for v in range(rows):
@@ -159,7 +161,7 @@ def recover(
         expected = map_letters[v, u]
         g = model.group[expected]
         if not measure_at(
-            smooth, x, y, cxx, cxy, cyy, mixes[g], ax, ay, bx, by, np.float32(reach), circle, work, found
+            smooth, x, y, cxx, cxy, cyy, mixes[g], ax, ay, bx, by, np.float32(reach), SEARCHED, circle, work, found
         ):
             continue
         clear = True
@@ -173,15 +175,15 @@ def recover(
             continue
         i = n
         s = projected_signal(found[2], found[3], found[4], model.direction[g]) - level_offset
-        letter[i] = evidence_of_one(model, found[2:5], s, field, variance, found[5], log_p[i])
+        letter[i] = evidence_of_one(model, found[2:5], s, field, variance, found[9], log_p[i])
         if log_p[i, expected] < least:
             continue
         centre[i, 0], centre[i, 1] = found[0], found[1]
         colour[i, 0], colour[i, 1], colour[i, 2] = found[2], found[3], found[4]
         covariance[i, 0], covariance[i, 1], covariance[i, 2] = cxx, cxy, cyy
         area[i] = int(size)
-        noise[i] = found[5]
-        saturated[i] = found[6]
+        saturated[i] = found[5]
+        noise[i] = found[9]
         signal[i] = s
         claim[v, u] = i
         holder_v[i], holder_u[i] = v, u

@@ -27,6 +27,12 @@ from sl_decoder.matched import CIRCLE
 from sl_decoder.planes import smoothed
 from sl_decoder.recovery import matched_offset
 
+FADED = 0.75  # share of the light that a dot had, below which something covers it
+FORGOTTEN = 0.03  # of the logarithm of that light, per image
+SAMPLE = 60  # dots from which is seen how the image moved on
+ALL_HELD = 0.9  # share of them that a prediction must hold, or another is tried
+LEAST_HELD = 0.5  # and without which no prediction is followed
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerOptions:
@@ -56,6 +62,8 @@ class Tracker:
         self._velocity = np.zeros((*shape, 2), np.float32)  # px/s
         self._footprint = np.zeros((*shape, 3), np.float32)
         self._area = np.zeros(0, np.int32)
+        self._colour = np.zeros((0, 3), np.float32)
+        self._brightest = np.zeros(shape, np.float32)  # log signal
         self._ids = np.full(shape, -1, np.int32)
         self._next_id = 0
         self._model: LetterModel | None = None
@@ -102,58 +110,73 @@ class Tracker:
         return replace(decoded, track_id=ids[map_v, map_u], decode_time=time.perf_counter() - start)
 
     def _verify(self, bgr: NDArray[np.uint8], gap: float) -> Interpretation | None:
-        """Decode around the prediction; None when too little of it holds.
-
-        What moved on is looked for first, then what stopped: a camera that turns round is nearer to where it was.
-        """
+        """Decode around the prediction; None when too little of it holds."""
         smooth = smoothed(bgr)
         rows = np.flatnonzero(self._claim.ravel() >= 0)
         if len(rows) < self.options.least_dots:
             return None
-        last = self._place.take(self._claim.ravel().take(rows), axis=0)
-        motion = self._velocity.reshape(-1, 2).take(rows, axis=0) * np.float32(gap)
-        reading = self._follow(smooth, rows, last + motion)
-        if reading is None and motion.any():
-            reading = self._follow(smooth, rows, last)
+        reading = self._follow(smooth, rows, gap)
         return None if reading is None else self._judged(reading, smooth, rows)
 
-    def _follow(
-        self, smooth: NDArray[np.uint8], rows: NDArray[np.intp], place: NDArray[np.float32]
-    ) -> Interpretation | None:
-        """The last image's dots, of the map's elements `rows` (N,), measured around `place` (N, 2) [px]; None when too
-        few are found."""
+    def _follow(self, smooth: NDArray[np.uint8], rows: NDArray[np.intp], gap: float) -> Interpretation | None:
+        """The last image's dots, of the map's elements `rows` (N,), measured where they should be after `gap` [s].
+
+        None when too few are found.
+        """
         decoder, model = self._decoder, self._model
         assert model is not None
         book = decoder.codebook
-        lattice = book.lattice
-        before = len(rows)
+        count = len(rows)
         index = np.full(self._claim.shape, -1, np.int32)
-        index.ravel()[rows] = np.arange(before, dtype=np.int32)
+        index.ravel()[rows] = np.arange(count, dtype=np.int32)
         shape = self._footprint.reshape(-1, 3).take(rows, axis=0)
-        reading = Interpretation(book, decoder.alphabet, _blank(before))
+        dots = self._claim.ravel().take(rows)
+        colour = self._colour.take(dots, axis=0)
+        reading = Interpretation(book, decoder.alphabet, _blank(count))
         reading.model = model
-        n = follow(
-            index,
-            place,
-            shape,
-            reading.claim,
-            smooth,
-            book.letters,
-            lattice.steps,
-            model,
-            self._offset,
-            CIRCLE,
-            self.options.reach,
-            reading.centre,
-            reading.colour,
-            reading.covariance,
-            reading.noise,
-            reading.saturated,
-            reading.signal,
-            reading.holder_u,
-            reading.holder_v,
-        )
-        if n < self.options.least_share * before:
+
+        def measure(place: NDArray[np.float32], every: int) -> int:
+            return follow(
+                index,
+                place,
+                shape,
+                colour,
+                every,
+                reading.claim,
+                smooth,
+                book.letters,
+                book.lattice.steps,
+                model,
+                self._offset,
+                CIRCLE,
+                self.options.reach,
+                reading.centre,
+                reading.colour,
+                reading.covariance,
+                reading.noise,
+                reading.saturated,
+                reading.signal,
+                reading.holder_u,
+                reading.holder_v,
+            )
+
+        last = self._place.take(dots, axis=0)
+        motion = self._velocity.reshape(-1, 2).take(rows, axis=0) * np.float32(gap)
+        place, best = last, -1.0
+        every = max(1, count // SAMPLE)
+        for guess in (last + motion, last):
+            n = measure(guess, every)
+            if n == 0:
+                continue
+            off = reading.centre[:n] - guess[index[reading.holder_v[:n], reading.holder_u[:n]]]
+            shift = np.median(off, axis=0)
+            score = n - np.median(np.abs(off - shift))
+            if score > best:
+                place, best = guess + shift, score
+            if n * every >= ALL_HELD * count or not motion.any():
+                break
+        n = measure(place, 1) if best * every >= LEAST_HELD * count else 0
+        if n < self.options.least_share * count:
             return None
         reading.set_tracked(n)
         return reading
@@ -180,6 +203,7 @@ class Tracker:
             reading.evidence,
             reading.letter,
         )
+        self._release_faded(reading)
         reading.judge(decoder.limit)
         kept = int((reading.claim >= 0).sum())
         if kept < self.options.least_share * len(rows) or kept < self.options.least_dots:
@@ -190,11 +214,25 @@ class Tracker:
             return None
         return reading
 
+    def _release_faded(self, reading: Interpretation) -> None:
+        """Take their elements from the dots that lost light against what they had, and against the others.
+
+        Where an object moves over another, its rim covers a dot bit by bit: the centre of what is left is not the dot's.
+        """
+        held = reading.claim >= 0
+        now, best = reading.signal.take(reading.claim), self._brightest
+        change = np.float32(np.median((now - best)[held]))
+        faded = held & (now - best < change + np.float32(np.log(FADED)))
+        self._brightest = np.maximum(now, best + change - np.float32(FORGOTTEN))
+        reading.release(faded)
+
     def _learn(self, reading: Interpretation, smooth: NDArray[np.uint8]) -> None:
         self._model = reading.model if (reading.claim >= 0).any() else None
         if self._model is None:
             return
         book = self._decoder.codebook
+        held = reading.claim >= 0
+        self._brightest[held] = reading.signal.take(reading.claim[held])
         self._offset = np.float32(
             matched_offset(
                 reading.claim,
@@ -234,6 +272,7 @@ class Tracker:
             fresh = np.flatnonzero((now >= 0) & (last < 0))
             if len(fresh):
                 velocity.reshape(-1, 2)[fresh] = np.median(moved, axis=0)
+                self._brightest.ravel()[fresh] = reading.signal.take(now.take(fresh))
         known = self._footprint[..., 0] > 0
         new = (reading.claim >= 0) & ~known
         if new.any() and known.any():
@@ -242,6 +281,7 @@ class Tracker:
         self._claim = reading.claim
         self._place = reading.centre
         self._area = reading.area
+        self._colour = reading.colour
         self._stamp = stamp
         self._size = size
 
