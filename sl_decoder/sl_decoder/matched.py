@@ -21,8 +21,7 @@ STEPS = 4  # at most, towards the centroid
 SETTLED = 0.1  # a step [px] after which the centroid has been reached: the next would be a tenth of it
 SLOPE = 0.3  # of the centroid against the middle of the weight, at least; that of a disc is a quarter to a half
 MERGED_SLOPE = 0.67  # for dots that were searched: with long steps, what merged with a neighbour would slide into it
-MARGIN = 0.8  # px from the middle of a window, beyond which the next steps are made in another one
-CUTS = 4  # windows at most
+MARGIN = 0.8  # px from the middle of a window, beyond which the next step is made in another one
 
 SAMPLES = 16
 LARGEST = 128  # side of a window [px]
@@ -102,9 +101,11 @@ def _cut_out(smooth, px, py, hx, hy, window):
 
 @compiled
 def _weigh(window, shift, rows, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
-    """What stands above `offset`, under the weight of an ellipse around (mx, my): out (9,) gets Newton's step from there
-    to the point that is the centroid under the weight around it; mean B, G, R, share of saturated pixels, and covariance
-    xx, xy, yy. slope: see SLOPE. Returns False where there is no such point."""
+    """What stands above `offset`, under the weight of an ellipse around (mx, my).
+
+    out (9,) gets Newton's step from there to the point that is the centroid under the weight around it; mean B, G, R,
+    share of saturated pixels, and covariance xx, xy, yy. slope: see SLOPE. Returns False where there is no such point.
+    """
     one, zero = np.float32(1), np.float32(0)
     size, mask = rows << shift, (1 << shift) - 1
     w0, w1, w2 = mix[0], mix[1], mix[2]
@@ -143,34 +144,35 @@ def _weigh(window, shift, rows, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
 
 @compiled
 def _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, slope, window, out):
-    """Follow the centroid from (px, py) to its fixed point: out (9,) gets this point, and what `_weigh` gives there.
+    """Follow the centroid from (px, py) to its fixed point: out (9,) gets its place, and what `_weigh` gives there.
 
-    Returns whether there is one."""
+    Returns False where there is none, or the image ends.
+    """
     one = np.float32(1)
     hx, hy = np.float32(WEIGHT) * np.sqrt(cxx), np.float32(WEIGHT) * np.sqrt(cyy)
     norm = one / (max(cxx * cyy - cxy * cxy, np.float32(1e-3)) * np.float32(WEIGHT * WEIGHT))
     ixx, ixy, iyy = cyy * norm, -2 * cxy * norm, cxx * norm
     right, bottom = smooth.shape[2] - hx, smooth.shape[1] - hy
     x, y = px, py
-    for _ in range(CUTS):
-        if not (hx <= x < right and hy <= y < bottom):
-            return False
-        left, top, shift, rows = _cut_out(smooth, x, y, hx, hy, window)
-        if rows == 0:
-            return False
-        x0, y0 = x, y
-        for _ in range(STEPS):
-            if not _weigh(window, shift, rows, x - left, y - top, ixx, ixy, iyy, mix, offset, slope, out):
+    left = top = shift = rows = 0
+    x0 = y0 = np.float32(-1e9)  # middle of the window
+    for _ in range(STEPS):
+        if abs(x - x0) + abs(y - y0) > np.float32(MARGIN):
+            if not (hx <= x < right and hy <= y < bottom):
                 return False
-            tx, ty = out[0], out[1]
-            x += tx
-            y += ty
-            if tx * tx + ty * ty < np.float32(SETTLED * SETTLED):
-                out[0], out[1] = x, y
-                return True
-            if abs(x - x0) + abs(y - y0) > np.float32(MARGIN):
-                break
-    return False
+            left, top, shift, rows = _cut_out(smooth, x, y, hx, hy, window)
+            if rows == 0:
+                return False
+            x0, y0 = x, y
+        if not _weigh(window, shift, rows, x - left, y - top, ixx, ixy, iyy, mix, offset, slope, out):
+            return False
+        tx, ty = out[0], out[1]
+        x += tx
+        y += ty
+        if tx * tx + ty * ty < np.float32(SETTLED * SETTLED):
+            break
+    out[0], out[1] = x, y
+    return True
 
 
 @compiled
@@ -206,8 +208,8 @@ def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, least,
     smooth (3, H, W) uint8; cxx, cxy, cyy expected core covariance [px^2]; mix (3,) expected share of the channels; a, b
     local lattice basis [px], in which `reach` bounds the search; circle (S, 2); work (WORK,) float32. The dot under the
     prediction is taken if its mean signal is at least `least`, else the highest place around is searched.
-    out (FOUND,) float32 gets x, y, B, G, R above the background, the share of saturated pixels, the covariance xx, xy, yy
-    under the weight, whose own width bounds it, and the noise of a channel. Returns False where no dot stands out.
+    out (FOUND,) float32 gets x, y, B, G, R above the background, the share of saturated pixels, the covariance xx, xy,
+    yy under the weight, whose own width bounds it, and the noise of a channel. Returns False where no dot stands out.
     """
     h, w = smooth.shape[1], smooth.shape[2]
     one, zero = np.float32(1), np.float32(0)

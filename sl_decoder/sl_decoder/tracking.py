@@ -12,6 +12,7 @@ interruption: whatever happens, it is only given to a dot that was verified to b
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,7 +100,7 @@ class Tracker:
             smooth = smoothed(bgr)
             reading = self._decoder.interpret(bgr)
             self._since_full = 0
-            self._full_count = int((reading.claim >= 0).sum())
+            self._full_count = reading.decoded()
             self._learn(reading, smooth)
         else:
             self._since_full += 1
@@ -162,20 +163,8 @@ class Tracker:
 
         last = self._place.take(dots, axis=0)
         motion = self._velocity.reshape(-1, 2).take(rows, axis=0) * np.float32(gap)
-        place, best = last, -1.0
-        every = max(1, count // SAMPLE)
-        for guess in (last + motion, last):
-            n = measure(guess, every)
-            if n == 0:
-                continue
-            off = reading.centre[:n] - guess[index[reading.holder_v[:n], reading.holder_u[:n]]]
-            shift = np.median(off, axis=0)
-            score = n - np.median(np.abs(off - shift))
-            if score > best:
-                place, best = guess + shift, score
-            if n * every >= ALL_HELD * count or not motion.any():
-                break
-        n = measure(place, 1) if best * every >= LEAST_HELD * count else 0
+        place = _aimed((last + motion, last) if motion.any() else (last,), measure, reading, index)
+        n = 0 if place is None else measure(place, 1)
         if n < self.options.least_share * count:
             return None
         reading.set_tracked(n)
@@ -205,25 +194,25 @@ class Tracker:
         )
         self._release_faded(reading)
         reading.judge(decoder.limit)
-        kept = int((reading.claim >= 0).sum())
+        kept = reading.decoded()
         if kept < self.options.least_share * len(rows) or kept < self.options.least_dots:
             return None
         reading.recover(smooth, decoder.limit, self._offset)
         reading.finish(decoder.limit)
-        if int((reading.claim >= 0).sum()) < 0.5 * self._full_count:
+        if reading.decoded() < 0.5 * self._full_count:
             return None
         return reading
 
     def _release_faded(self, reading: Interpretation) -> None:
         """Take their elements from the dots that lost light against what they had, and against the others.
 
-        Where an object moves over another, its rim covers a dot bit by bit: the centre of what is left is not the dot's.
+        Where an object moves over another, its rim covers a dot bit by bit: what is left has another centre.
         """
         held = reading.claim >= 0
         now, best = reading.signal.take(reading.claim), self._brightest
         change = np.float32(np.median((now - best)[held]))
         faded = held & (now - best < change + np.float32(np.log(FADED)))
-        self._brightest = np.maximum(now, best + change - np.float32(FORGOTTEN))
+        self._brightest = np.where(held, np.maximum(now, best + change - np.float32(FORGOTTEN)), best)
         reading.release(faded)
 
     def _learn(self, reading: Interpretation, smooth: NDArray[np.uint8]) -> None:
@@ -284,6 +273,30 @@ class Tracker:
         self._colour = reading.colour
         self._stamp = stamp
         self._size = size
+
+
+def _aimed(
+    guesses: tuple[NDArray[np.float32], ...],
+    measure: Callable[[NDArray[np.float32], int], int],
+    reading: Interpretation,
+    index: NDArray[np.int32],
+) -> NDArray[np.float32] | None:
+    """The first of the predicted places (N, 2) [px] that a sample of the dots confirms, else the one that it fits best.
+
+    Moved by what the sample has in common. None when no prediction is any good. A camera that turns round does not go
+    on: it is nearer to where it was.
+    """
+    count = len(guesses[0])
+    every = max(1, count // SAMPLE)
+    best, most = None, LEAST_HELD * count
+    for guess in guesses:
+        n = measure(guess, every)
+        if n * every > most:
+            off = reading.centre[:n] - guess[index[reading.holder_v[:n], reading.holder_u[:n]]]
+            best, most = guess + np.median(off, axis=0), n * every
+        if most >= ALL_HELD * count:
+            break
+    return best
 
 
 def _blank(n: int) -> Dots:

@@ -64,6 +64,34 @@ def test_an_object_that_starts_to_move_is_not_lost() -> None:
     assert min(shares) > 0.9 * shares[0]
 
 
+def test_what_a_rim_covers_is_let_go() -> None:
+    tracker = Tracker(DECODER)
+    still = camera_image(PATTERN, 1280, 960)
+    tracked = 0
+    for k in range(10):
+        image = still.copy()
+        image[:, : 500 + 2 * k] = 22
+        decoded = tracker.track(image, 1 + 33 * k * MS)
+        place = 2 * true_place(decoded, 0.0) + 0.5
+        seen = place[:, 0] > 510 + 2 * k
+        error = np.linalg.norm(decoded.camera - place, axis=1)
+        assert np.linalg.norm(error[seen].max()) < 1.0
+        assert error.max() < 1.5
+        assert seen.sum() > 1300
+        tracked += decoded.tracked
+    assert tracked >= 8
+
+
+def test_a_camera_that_turns_round_is_tracked() -> None:
+    tracker = Tracker(DECODER)
+    kinds = []
+    for k, shift in enumerate([0.0, 1.5, 3.0, 4.5, 3.0, 1.5, 0.0, 1.5]):
+        decoded = tracker.track(camera_image(PATTERN, 640, 480, shift=shift, seed=k), 1 + 33 * k * MS)
+        assert np.linalg.norm(decoded.camera - true_place(decoded, shift), axis=1).max() < 0.7
+        kinds.append(decoded.tracked)
+    assert all(kinds[1:])
+
+
 def test_a_switched_pattern_leaves_nothing() -> None:
     tracker = Tracker(DECODER)
     for k in range(3):
