@@ -72,12 +72,13 @@ def test_what_a_rim_covers_is_let_go() -> None:
         image = still.copy()
         image[:, : 500 + 2 * k] = 22
         decoded = tracker.track(image, 1 + 33 * k * MS)
-        place = 2 * true_place(decoded, 0.0) + 0.5
+        place = 2 * true_place(decoded, 0.0)
         seen = place[:, 0] > 510 + 2 * k
         error = np.linalg.norm(decoded.camera - place, axis=1)
-        assert np.linalg.norm(error[seen].max()) < 1.0
-        assert error.max() < 1.5
-        assert seen.sum() > 1300
+        assert seen.sum() > 1500
+        assert error[seen].max() < 0.5
+        assert error.max() < 2.5  # half a dot's width: not what the rim keeps pushing on
+        assert (error > 1.0).sum() <= 8  # without letting go 11, up to 4.5 px off
         tracked += decoded.tracked
     assert tracked >= 8
 
