@@ -296,7 +296,7 @@ class Interpretation:
         place = np.zeros(held.shape, np.float32)
         place[held] = np.log(MISREAD + (1.0 - MISREAD) * ratio)
         together = cv2.boxFilter(place, -1, SURROUNDINGS, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        self._release(held & (together < LEAST_TOGETHER))
+        self.release(held & (together < LEAST_TOGETHER))
 
     def judge(self, limit: float) -> None:
         """Judge all claims; release the worst below `limit` and judge again until none is left."""
