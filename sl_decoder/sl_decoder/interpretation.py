@@ -1,8 +1,4 @@
-"""Interpretation of one image's dots: graph, letters, placement in the map, growth, judgement, recovery.
-
-Holds the arrays that the stages share. Per dot: rows of which the first `n` are used; dots that are recovered where the
-map expects them are appended. Per map element: (V, U) arrays in axial coordinates, `claim` holds the dot of each.
-"""
+"""Interpretation of one image's dots: graph, letters, placement in the map, growth, judgement, recovery."""
 
 from __future__ import annotations
 
@@ -12,14 +8,12 @@ from numpy.typing import NDArray
 
 from sl_decoder import graph, growth, judgement, letters, orientation, placement, recovery, voting, windows
 from sl_decoder.agreement import agreed_field
-from sl_decoder.alphabet import Alphabet
-from sl_decoder.centres import Dots
-from sl_decoder.codebook import Codebook
 from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
-from sl_decoder.letter_model import LetterModel, fit_model, letter_evidence, log_signal, placement_evidence
+from sl_decoder.letter_model import fit_model, letter_evidence, log_signal, placement_evidence
 from sl_decoder.matched import CIRCLE
 from sl_decoder.nearest import nearest
+from sl_decoder.state import State
 
 SMALLEST_COMPONENT = 4  # dots; smaller components take part in growth only
 NEXT_EVIDENCE = 14.0  # log-likelihood ratio that further placements need once the pattern is known to be there
@@ -28,52 +22,17 @@ JUDGEMENTS = 12  # most releases of the worst per growth
 GROWTHS = 4
 MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
 NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
-COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
 # log-odds asked of a dot beyond the limit, per kind of prediction: of a segmented dot, of a recovered one
 RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
 SURROUNDINGS = (7, 7)  # elements of the map whose letters tell whether they are in the right place together
 LEAST_TOGETHER = 4.0  # log-likelihood ratio that they must have
 MISREAD = 0.1  # share of letters that count nothing
-AMID = 6  # of an element and its eight neighbours, from which it lies amid decoded ones
 CHANCE = 0.03  # share of the dots on lattices that must be decoded: less is chance
-MEASURED = ("centre", "colour", "covariance", "area", "noise", "saturated", "signal", "evidence", "letter")
-"""Arrays of what a recovered dot has, too."""
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
 
-class Interpretation:
-    """The dots of one image and what is known of them; see the module."""
-
-    def __init__(self, book: Codebook, alphabet: Alphabet, dots: Dots, *, pixel: float = 1.0) -> None:
-        """pixel: size of the camera's pixels in those of the image in which the dots were measured."""
-        self.book = book
-        self.pixel = np.float32(pixel)
-        self.alphabet = alphabet
-        n = self.n = self.segmented = len(dots)
-        self.centre = dots.centre
-        self.colour = dots.colour
-        self.covariance = dots.covariance
-        self.area = dots.area
-        self.noise = dots.noise
-        self.saturated = dots.saturated
-        self.cut = dots.cut
-        self.profile = dots.profile
-        self.signal, self.field, self.variance = np.zeros((3, n), np.float32)
-        self.evidence = np.empty((n, book.alphabet), np.float32)
-        self.letter = np.zeros(n, np.int32)
-        self.places = np.full((4, n), -1, np.int32)
-        self.holder_u, self.holder_v, self.banned_u, self.banned_v = self.places
-        shape = book.letters.shape
-        self.claim = np.full(shape, -1, np.int32)
-        self.belief = np.full(shape, -20.0, np.float32)
-        self.kind = np.full(shape, growth.UNPREDICTED, np.int8)
-        self.model: LetterModel | None = None
-        self.accepted = 0
-        self.tracked = False
-        self.mirrored = False
-        self.mirrored_dots = np.zeros(n, np.bool_)
-        self.at = np.full(n, -1, np.int32)
-        self.near = np.empty((0, graph.NEIGHBOURS), np.int32)  # none without a graph, as in tracking
+class Interpretation(State):
+    """The stages, which each go on from what is known of an image's dots; see the module."""
 
     def build_graph(self) -> None:
         """Lattice links and connected components."""
@@ -107,15 +66,6 @@ class Interpretation:
         self.cell, self.at, self.width = windows.lay_out(
             self.component, self.u, self.v, self.conflicts, count, SMALLEST_COMPONENT
         )
-
-    def set_tracked(self, n: int) -> None:
-        """Mark the first n dots as measured around predictions: claimed already, without a graph."""
-        self.tracked = True
-        self.n = self.segmented = n
-        self.links = np.full((n, self.book.lattice.directions), -1, np.int32)
-        self.at = np.zeros(n, np.int32)
-        self.conflicts = np.zeros(n, np.bool_)
-        self.cut = np.zeros(n, np.bool_)
 
     def read_letters(self, first: NDArray[np.float64] | None = None) -> None:
         """First reading of the letters, from the image alone or from calibrated colours `first` (A, 3) B G R."""
@@ -321,29 +271,6 @@ class Interpretation:
             self.banned_v,
         )
 
-    def components(self) -> int:
-        """Number of lattices that are large enough to be placed, at least one."""
-        return max(1, int(np.count_nonzero(np.bincount(self.component[self.at >= 0]))))
-
-    def decoded(self) -> int:
-        """Number of decoded dots."""
-        return int(np.count_nonzero(self.claim >= 0))
-
-    def explained(self) -> float:
-        """Decoded dots per segmented blob."""
-        return self.decoded() / max(1, self.segmented)
-
-    def gaps(self) -> float:
-        """Share of the elements amid decoded ones for which segmentation gave no dot."""
-        amid = cv2.boxFilter((self.claim >= 0).astype(np.uint8), -1, (3, 3), normalize=False) >= AMID
-        missing = amid & ((self.claim < 0) | (self.claim >= self.segmented))
-        return float(missing.sum()) / max(1, int(amid.sum()))
-
-    def is_small(self, core: float) -> bool:
-        """Whether at least half of the blobs have cores of at most so many pixels."""
-        area = self.area[: self.segmented]
-        return 2 * int(np.count_nonzero(area <= core)) >= max(1, len(area))
-
     def finish(self, limit: float) -> None:
         """Release dots still below `limit`, and those whose centres are wrong: cut by the border, lit unevenly.
 
@@ -364,18 +291,6 @@ class Interpretation:
         )
         if held < CHANCE * np.count_nonzero(self.at >= 0):
             self.release(self.claim >= 0)
-
-    def release(self, elements: NDArray[np.bool_]) -> None:
-        """Take the dots of these held elements (V, U) away from them."""
-        self.holder_u[self.claim[elements]] = -1
-        self.holder_v[self.claim[elements]] = -1
-        self.claim[elements] = -1
-
-    def is_complete(self) -> bool:
-        """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""
-        on_lattice = self.at >= 0
-        decoded = (self.holder_v[: self.segmented] >= 0) & on_lattice
-        return int(np.count_nonzero(decoded)) >= COMPLETE * int(np.count_nonzero(on_lattice))
 
     def refit(self) -> None:
         """Fit the letter model to the decoded dots, and weigh all letters again."""
@@ -456,16 +371,3 @@ class Interpretation:
             if not self.tracked:
                 # at the rim, what is too faint to be segmented is often half lit: its centre cannot be trusted
                 self.release((self.claim >= before) & (self.kind >= growth.EXTRAPOLATED))
-
-    def make_room(self, more: int) -> None:
-        """Room for so many more dots behind the first `n`."""
-        n = self.n
-        for name in MEASURED:
-            values = getattr(self, name)
-            roomy = np.empty((n + more, *values.shape[1:]), values.dtype)
-            roomy[:n] = values[:n]
-            setattr(self, name, roomy)
-        places = np.full((4, n + more), -1, np.int32)
-        places[:, :n] = self.places[:, :n]
-        self.places = places
-        self.holder_u, self.holder_v, self.banned_u, self.banned_v = places

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_decoder.interpretation import MEASURED, Interpretation
+from sl_decoder.interpretation import Interpretation
+from sl_decoder.state import MEASURED
 
 SHARPENED = 3.0  # width of the blur that is taken off, in pixels of the doubled image: about that of a dot
 SMOOTHING = 0.5  # px^2 that the mosaic's filter adds to a footprint
