@@ -37,7 +37,7 @@ class Mixture(NamedTuple):
 
 
 def features(x: Array) -> Array:
-    """What mixtures are weighed and fitted with (N, 6): squares, values and presence of measures x (N, 2), nan: none."""
+    """What mixtures are weighed and fitted with (N, 6): squares, values, presence of measures x (N, 2), nan: none."""
     known = ~np.isnan(x)
     value = np.where(known, x, 0.0)
     return np.hstack([value * value, value, known])
