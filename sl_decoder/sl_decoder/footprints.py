@@ -21,7 +21,7 @@ THIN_TAIL = 0.04  # share of true dots of any shape (highlights, noise)
 THIN_RANGE = 2.0  # over which those, and dots that are cut, are spread
 CUT_SHARE = 0.5  # of the false dots are cut by an edge, the others are whole dots of another surface
 CORE_WIDTH = 2.0  # half the width of a core in standard deviations along it: of what is cut off, half is displacement
-LOST_SHARE = 0.25  # of a dot's own width, which shading and curvature explain
+LOST_SHARE = 0.15  # of a dot's own width, which shading and curvature explain
 
 
 @compiled

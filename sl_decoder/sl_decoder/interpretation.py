@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sl_decoder import graph, growth, judgement, letters, orientation, placement, recovery, voting, windows
+from sl_decoder import (
+    graph,
+    growth,
+    judgement,
+    letters,
+    orientation,
+    placement,
+    recovery,
+    surroundings,
+    voting,
+    windows,
+)
 from sl_decoder.agreement import agreed_field
 from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
@@ -24,9 +34,6 @@ MIRROR_VOTES = 5  # windows of a component that agree on a mirrored placement
 NOT_OURS = -20.0  # letter evidence of dots that cannot be the pattern's
 # log-odds asked of a dot beyond the limit, per kind of prediction: of a segmented dot, of a recovered one
 RIM = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.5, 4.5, 4.5]], np.float32)
-SURROUNDINGS = (7, 7)  # elements of the map whose letters tell whether they are in the right place together
-LEAST_TOGETHER = 4.0  # log-likelihood ratio that they must have
-MISREAD = 0.1  # share of letters that count nothing
 CHANCE = 0.03  # share of the dots on lattices that must be decoded: less is chance
 RECOVERED_LEAST = -1.0  # least letter evidence of a recovered dot
 
@@ -237,16 +244,10 @@ class Interpretation(State):
             self.judge(limit)
 
     def _release_misplaced(self) -> None:
-        """Release the dots whose surroundings' letters do not speak for this place.
-
-        Letters that can hardly be told are outweighed one by one by what lies beside them; many of them are not."""
-        held = self.claim >= 0
-        evidence = placement_evidence(self.evidence[: self.n], self.alphabet.share)
-        ratio = np.exp(evidence[self.claim[held], self.book.letters[held]])
-        place = np.zeros(held.shape, np.float32)
-        place[held] = np.log(MISREAD + (1.0 - MISREAD) * ratio)
-        together = cv2.boxFilter(place, -1, SURROUNDINGS, normalize=False, borderType=cv2.BORDER_CONSTANT)
-        self.release(held & (together < LEAST_TOGETHER))
+        """Release the dots whose surroundings' letters do not speak for their place."""
+        surroundings.release_misplaced(
+            self.claim, self.evidence, self.alphabet.share, self.book.letters, self.holder_u, self.holder_v
+        )
 
     def judge(self, limit: float) -> None:
         """Judge all claims; release the worst below `limit` and judge again until none is left."""

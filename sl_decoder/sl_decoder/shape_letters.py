@@ -63,7 +63,7 @@ def fit(mixture: Mixture, share: Array, of: Array, rounds: int) -> tuple[Mixture
         probability, density = weigh(mixture, share, of)
         square, value, weight = np.split(probability.T @ of, 3, axis=1)  # each (A, 2)
         mean = (value + mixture.mean) / (weight + 1.0)
-        square += mean * (mean * weight - 2.0 * value)
+        square = np.maximum(square + mean * (mean * weight - 2.0 * value), 0.0)  # of the deviations
         common = square.sum(0) / np.maximum(weight.sum(0), 1.0)
         spread = np.sqrt((square + TIED * common) / (weight + TIED))
         mixture = Mixture(mean, np.maximum(spread, LEAST_SPREAD))
