@@ -36,7 +36,7 @@ fi
 
 # numba's caches know when a function's own file changes, not when a function that it calls does.
 for package in "${packages[@]}"; do
-  oldest=$(find "$package" -name '*.nbi' -printf '%T@ %p\n' | sort -n | head -n 1 | cut -d' ' -f2-)
+  oldest=$(find "$package" -name '*.nbi' -printf '%T@ %p\n' | sort -n | sed -n '1s/^[^ ]* //p')
   if [ -n "$oldest" ] && find "$package" -name '*.py' ! -path '*/test/*' -newer "$oldest" | grep -q .; then
     find "$package" -name '*.nb[ic]' -delete
   fi

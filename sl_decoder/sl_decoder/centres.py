@@ -20,6 +20,7 @@ from sl_decoder.compiled import compiled
 from sl_decoder.segmentation import Segments
 
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
+STEP = 2.4  # times the weighted centroid's offset from the weight's middle: it moves by some 0.4 of the centre's
 LOPSIDED = 0.7  # px between weighted centre and middle of the core, which agree in a disc that is whole and evenly lit
 LANES = 16  # pixels of a blob are summed in groups of this many
 SAMPLES = 16  # of the background around a blob
@@ -123,6 +124,7 @@ def _measure(
     saturated,
     cut,
     profile,
+    shapes,
 ):
     h, w = rest.shape
     flat = colours.ravel()
@@ -247,9 +249,8 @@ def _measure(
                 sy += g * dy
             if sw <= 0:
                 break
-            # under a weight of the blob's own width the centroid moves by about 0.6 of the offset
-            sx = np.float32(1.6) * sx / sw
-            sy = np.float32(1.6) * sy / sw
+            sx = np.float32(STEP) * sx / sw
+            sy = np.float32(STEP) * sy / sw
             ox += sx
             oy += sy
             if sx * sx + sy * sy < np.float32(2e-5):
@@ -259,6 +260,8 @@ def _measure(
         centre[j, 0] = x0 + ox
         centre[j, 1] = y0 + oy
         cut[j] |= (ox - mx) ** 2 + (oy - my) ** 2 > np.float32(LOPSIDED * LOPSIDED)
+        if not shapes:
+            continue
         sw = m2 = m4 = zero
         for k in range(whole):
             dx = pixel[0, k] - ox
@@ -276,8 +279,8 @@ _ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
 _CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 
-def measure(segments: Segments) -> Dots:
-    """Measure all blobs of a segmented image."""
+def measure(segments: Segments, *, shapes: bool = True) -> Dots:
+    """Measure all blobs of a segmented image; shapes: their profiles too, where letters differ in shape."""
     n = len(segments)
     dots = Dots(
         centre=np.empty((n, 2), np.float32),
@@ -305,5 +308,6 @@ def measure(segments: Segments) -> Dots:
         dots.saturated,
         dots.cut,
         dots.profile,
+        shapes,
     )
     return dots

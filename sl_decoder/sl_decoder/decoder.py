@@ -32,6 +32,7 @@ SMALL_CORE = 15.0  # pixels of the median blob's core up to which dots may be bl
 NEARLY_EXPLAINED = 0.9  # share of the blobs that are decoded from which small dots are not read again
 FEW_GAPS = 0.04  # share of the dots amid decoded ones that segmentation may miss before that
 OTHER_SCALE_GAIN = 1.05  # times as many dots that an image of another size must give: its centres are noisier
+SHARPER_GAIN = 1.12  # and that the sharpened one must give to come first: long dots fall apart in it
 BLURS = (0.3, 0.0, 0.6, None)  # metrics in which what is left is linked once more [px^2]
 
 
@@ -99,7 +100,7 @@ class Decoder:
                 best = smaller
         if best.is_small(SMALL_CORE) and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
             sharper = self._interpret_with(rescaling.doubled_and_sharpened(bgr), 2 * usual, pixel=2.0)
-            better = sharper.decoded() > OTHER_SCALE_GAIN * best.decoded()
+            better = sharper.decoded() > SHARPER_GAIN * best.decoded()
             rescaling.enlarge(sharper, 0.5)
             if better:
                 best, sharper = sharper, best
@@ -108,7 +109,9 @@ class Decoder:
 
     def _interpret_with(self, bgr: NDArray[np.uint8], kernel: int, pixel: float = 1.0) -> Interpretation:
         segments = segmentation.segment(bgr, kernel)
-        return self.read(centres.measure(segments), segments.smooth, pixel=pixel)
+        return self.read(
+            centres.measure(segments, shapes=len(self.alphabet.profiles) > 1), segments.smooth, pixel=pixel
+        )
 
     def read(
         self, dots: centres.Dots, smooth: NDArray[np.uint8] | None = None, *, pixel: float = 1.0

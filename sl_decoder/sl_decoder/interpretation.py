@@ -278,7 +278,8 @@ class Interpretation(State):
         Where a dot has no neighbours on one side, half a dot of its letter is what it is most easily taken for: there
         more than `limit` is asked. Lattices of which next to nothing agrees with the map are another pattern's.
         """
-        self._release_misplaced()
+        if not self.tracked:  # what is was in its place in the image before
+            self._release_misplaced()
         held = judgement.release_doubtful(
             self.claim,
             self.belief,
