@@ -120,7 +120,7 @@ def initial_letters(
     variance = np.empty(n, np.float32)
     signal = log_signal(colour, direction, group)
     if shapes > 1:
-        letter, mixture = read_shapes(alphabet, group, signal, profile, near, use)
+        letter, mixture = read_shapes(alphabet, group, signal, profile, near, enough)
         level = mixture.mean[:, 0].astype(np.float32)
         direction = np.repeat(direction, shapes, axis=0)
     else:

@@ -165,6 +165,21 @@ def test_empty_and_uniform_images_give_nothing() -> None:
         assert decoded.camera.shape == (0, 2)
 
 
+@pytest.mark.parametrize(
+    "pattern", [PATTERN, hexagonal_pattern(), monochrome_pattern()], ids=["square", "hexagonal", "monochrome shapes"]
+)
+def test_images_of_other_things_give_nothing(pattern) -> None:
+    decoder = Decoder(pattern)
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:480, :640]
+    images = [rng.integers(0, 256, (480, 640, 3)), rng.normal(90, 8, (480, 640, 3)), np.zeros((480, 640, 3))]
+    images[2][rng.integers(20, 460, 12), rng.integers(20, 620, 12)] = 250  # a few specks, no lattice
+    images += [np.repeat((x // side + y // side) % 2 * 200.0 + 20, 3).reshape(480, 640, 3) for side in (4, 8, 20)]
+    images += [camera_image(other, 640, 480) for other in (PATTERN, monochrome_pattern(seed=1)) if other != pattern]
+    for image in images:
+        assert len(decoder.decode(image.astype(np.uint8))) == 0
+
+
 def test_the_same_image_gives_the_same_result() -> None:
     image = camera_image(PATTERN, 640, 480, seed=4)
     one, two = DECODER.decode(image), DECODER.decode(image)
