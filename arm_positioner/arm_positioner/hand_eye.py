@@ -1,5 +1,6 @@
 """What the positioner knows of a calibration folder, read again when a file changes."""
 
+import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,6 +23,7 @@ class HandEye:
     def __init__(self, folder: str) -> None:
         """Watch ``folder``; an empty name means that there is none."""
         self._path = Path(folder).expanduser() / calibration_files.HAND_EYE_FILE if folder else None
+        self._lock = threading.Lock()
         self._seen: tuple[tuple[int, int] | None, ...] = ()
         self.projector: NDArray[float64] | None = None
         self.flange_from_camera: NDArray[float64] = transforms.identity()
@@ -35,10 +37,12 @@ class HandEye:
 
         A file that goes away or cannot be read leaves the last good one in use.
         """
-        if self._path is None:
-            return ""
-        folder = self._path.parent
-        version = tuple(_version(p) for p in (self._path, folder / calibration_files.PROJECTOR_POSE_FILE))
+        with self._lock:
+            return "" if self._path is None else self._read(self._path)
+
+    def _read(self, path: Path) -> str:
+        folder = path.parent
+        version = tuple(_version(p) for p in (path, folder / calibration_files.PROJECTOR_POSE_FILE))
         if version[0] is None or version == self._seen:
             return ""
         self._seen = version
@@ -53,7 +57,7 @@ class HandEye:
             return f"hand-eye calibration not used, the last good one stays: {error}"
         self.problem = ""
         self.flange_from_camera = calibration.transform
-        return f"hand-eye calibration read from {self._path}"
+        return f"hand-eye calibration read from {path}"
 
 
 def _version(path: Path) -> tuple[int, int] | None:

@@ -58,7 +58,7 @@ class PositionerNode(Node):
         self._complaints = Complaints(self)
         self._reported: Code | None = None
         self._scene = Scene(self, s, self._hand_eye, self._complaints)
-        self._action = PositionArmServer(self, s, self._scene, self._require_supervisor)
+        self._action = PositionArmServer(self, s, self._scene, self._supervisor_for_goal)
         self._status = self.create_publisher(PositionerStatus, "~/status", COMMANDS)
         self._target = self.create_publisher(PoseStamped, "~/target", COMMANDS)
         self._markers = self.create_publisher(MarkerArray, "~/markers", COMMANDS)
@@ -93,6 +93,18 @@ class PositionerNode(Node):
         if self._supervisor is None:
             raise InvalidGoalError("refused: no robot_description received yet")
         return self._supervisor
+
+    def _supervisor_for_goal(self) -> Supervisor:
+        """The supervisor, with the calibration that has just been saved."""
+        self._read_calibration()
+        return self._require_supervisor()
+
+    def _read_calibration(self) -> None:
+        supervisor = self._supervisor
+        if news := self._hand_eye.refresh():
+            self.get_logger().info(news)
+        if supervisor is not None and supervisor.task is None:
+            supervisor.flange_from_camera = self._hand_eye.flange_from_camera
 
     def _on_description(self, message: String) -> None:
         """Build everything that needs the arm, once."""
@@ -188,18 +200,14 @@ class PositionerNode(Node):
         return response
 
     def _check_files(self) -> None:
-        supervisor = self._supervisor
-        if news := self._hand_eye.refresh():
-            self.get_logger().info(news)
-        if supervisor is not None and supervisor.task is None:
-            supervisor.flange_from_camera = self._hand_eye.flange_from_camera
+        self._read_calibration()
         if self._loop is not None:
             for key, value in self._loop.jitter().items():
                 self._diagnostics.set(f"setpoint {key}", value)
             if self._loop.failure is not None:
                 self.get_logger().error(f"setpoints have ended: {self._loop.failure!r}; restart the node")
-                if supervisor is not None:
-                    supervisor.fail("setpoints have ended by a defect; restart the node")
+                if self._supervisor is not None:
+                    self._supervisor.fail("setpoints have ended by a defect; restart the node")
         if self._scene.seen is not None:
             sigma = np.degrees(self._scene.seen.surface.normal_sigma)
             self._diagnostics.set("surface normal known to [deg]", f"{sigma:.2f}")
