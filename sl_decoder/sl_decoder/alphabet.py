@@ -23,7 +23,8 @@ class Alphabet:
 
     hue (A,) and shape (A,) index; group (A,) int32 hue and shape together; hue_colour (H, 3) mean B, G, R drive values
     0..1 of a hue's letters; ranked (A,) letters, darkest first; share (A,) of the map's dots; upper (3,) drive value at
-    UPPER_TAIL of the dots' channels; profiles (S,) radial kurtosis (log) of each shape, seen sharp.
+    UPPER_TAIL of the dots' channels; profiles (S,) radial kurtosis (log) of each shape, seen sharp; appearances: log
+    signal and profile (A, 2) of the letters under each of BLURS, none where all have one shape.
     """
 
     hue: np.ndarray

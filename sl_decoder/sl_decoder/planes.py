@@ -23,27 +23,30 @@ def smoothed(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
     It removes the frequency of a Bayer mosaic.
     """
-    planes = np.empty((2, 3, *bgr.shape[:2]), np.uint8)
-    cv2.split(bgr, list(planes[0]))
-    binomial(planes[0], planes[1])
-    return planes[1]
+    planes = np.empty((3, *bgr.shape[:2]), np.uint8)
+    binomial(np.ascontiguousarray(bgr), planes)
+    return planes
 
 
 @compiled
-def binomial(planes, smooth):
-    """Planes (3, H, W) uint8 under the filter 1 2 1 over 4 along rows and columns, rounded once: smooth (3, H, W)."""
-    _, h, w = planes.shape
-    column = np.empty(w + 2, np.uint16)
+def binomial(bgr, smooth):
+    """An image (H, W, 3) uint8 under the filter 1 2 1 over 4 along rows and columns, rounded once: smooth (3, H, W)."""
+    h, w, _ = bgr.shape
+    rows = bgr.reshape((h, 3 * w))
+    column = np.empty(3 * w + 6, np.uint16)
+    mixed = np.empty(3 * w, np.uint8)
     two, half = np.uint16(2), np.uint16(8)
-    for c in range(3):
-        for y in range(h):
-            above, here, below = planes[c, abs(y - 1)], planes[c, y], planes[c, min(y + 1, 2 * h - 3 - y)]
-            for x in range(w):
-                column[x + 1] = np.uint16(above[x]) + two * np.uint16(here[x]) + np.uint16(below[x])
-            column[0], column[w + 1] = column[2], column[w - 1]
-            out = smooth[c, y]
-            for x in range(w):
-                out[x] = (column[x] + two * column[x + 1] + column[x + 2] + half) >> np.uint16(4)
+    for y in range(h):
+        above, here, below = rows[abs(y - 1)], rows[y], rows[min(y + 1, 2 * h - 3 - y)]
+        for i in range(3 * w):
+            column[i + 3] = np.uint16(above[i]) + two * np.uint16(here[i]) + np.uint16(below[i])
+        for c in range(3):
+            column[c], column[3 * w + 3 + c] = column[c + 6], column[3 * w - 3 + c]
+        for i in range(3 * w):
+            mixed[i] = (column[i] + two * column[i + 3] + column[i + 6] + half) >> np.uint16(4)
+        blue, green, red = smooth[0, y], smooth[1, y], smooth[2, y]
+        for x in range(w):
+            blue[x], green[x], red[x] = mixed[3 * x], mixed[3 * x + 1], mixed[3 * x + 2]
 
 
 @compiled

@@ -18,14 +18,14 @@ from sl_decoder.letter_model import LetterModel
 
 Array = NDArray[np.float64]
 
-FIRST_SPREAD = np.array([0.15, 0.05])  # of log signal and profile
-LEAST_SPREAD = np.array([0.03, 0.01])
+FIRST_SPREAD = np.array([0.15, 0.05])  # of log signal and profile, before anything is known
+LEAST_SPREAD = np.array([0.03, 0.01])  # that noise leaves
 OUTLIERS = 0.05  # share of dots that are no letter's
 RANGE = 4.0  # of log signal times that of the profile, over which those are spread
 SAMPLE = 300  # dots from which the blur is told
-FIRST_ROUNDS = 6
-FIELD_ROUNDS = 3
-ROUNDS = 3
+FIRST_ROUNDS = 6  # of expectation maximisation under each blur
+FIELD_ROUNDS = 3  # in which the surroundings are freed of their letters' levels
+ROUNDS = 3  # of expectation maximisation in each of those
 TIED = 20.0  # dots' worth of a spread that all letters have in common
 
 
