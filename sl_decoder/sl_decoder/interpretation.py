@@ -246,7 +246,13 @@ class Interpretation(State):
     def _release_misplaced(self) -> None:
         """Release the dots whose surroundings' letters do not speak for their place."""
         surroundings.release_misplaced(
-            self.claim, self.evidence, self.alphabet.share, self.book.letters, self.holder_u, self.holder_v
+            self.claim,
+            self.letter,
+            self.evidence,
+            self.alphabet.share,
+            self.book.letters,
+            self.holder_u,
+            self.holder_v,
         )
 
     def judge(self, limit: float) -> None:

@@ -18,14 +18,21 @@ from sl_decoder.letter_model import MOST_EVIDENCE
 REACH = 3  # elements to either side
 LEAST_TOGETHER = 4.0  # log-likelihood ratio that a dot and its surroundings must have for their place
 MISREAD = 0.1  # share of letters that count nothing
+FEW_UNLIKE = 5  # letters unlike the map's in all of the image: no part of it can then be in a wrong place
 
 
 @compiled
-def release_misplaced(claim, evidence, share, map_letters, holder_u, holder_v):
+def release_misplaced(claim, letter, evidence, share, map_letters, holder_u, holder_v):
     """Release the held elements whose surroundings' letters do not speak for their place; returns how many.
 
-    claim, map_letters (V, U); evidence (N, A): see `letter_evidence`; share (A,) of the map's dots.
+    claim, map_letters (V, U); letter (N,) as read; evidence (N, A): see `letter_evidence`; share (A,): of the map.
     """
+    unlike = 0
+    for v in range(claim.shape[0]):
+        for u in range(claim.shape[1]):
+            unlike += np.int64(claim[v, u] >= 0 and letter[claim[v, u]] != map_letters[v, u])
+    if unlike < FEW_UNLIKE:
+        return 0
     together = _sum_around(_evidence_for_place(claim, evidence, share, map_letters))
     released = 0
     for v in range(claim.shape[0]):
