@@ -143,25 +143,36 @@ def _weigh_level(measure, hue, this, level, level_variance, stray, share, out, t
 
 
 @compiled
-def placement_evidence(evidence, share):
-    """Evidence (N, A) for each letter against any other place in the map: less that of a dot of any of its letters.
+def any_letter(evidence, share):
+    """Evidence (N,) for a dot of any of the map's letters, at least 0: what is no dot speaks against every place.
 
-    evidence (N, A): see `letter_evidence`; share (A,) of the map's dots. That a dot looks like one speaks for no place,
-    so what is left averages one (as a ratio of likelihoods) over the map, whatever the letters were taken for.
+    evidence (N, A): see `letter_evidence`; share (A,) of the map's dots.
     """
     n, count = evidence.shape
     most = np.float32(MOST_EVIDENCE)
-    any_letter = np.zeros(n, np.float32)
+    out = np.zeros(n, np.float32)
     for k in range(count):
         weight = np.float32(share[k])
         for i in range(n):
-            any_letter[i] += weight * exponential(evidence[i, k] - most)
+            out[i] += weight * exponential(evidence[i, k] - most)
     for i in range(n):
-        any_letter[i] = max(most + logarithm(any_letter[i]), np.float32(0))
+        out[i] = max(most + logarithm(out[i]), np.float32(0))
+    return out
+
+
+@compiled
+def placement_evidence(evidence, share):
+    """Evidence (N, A) for each letter against any other place in the map: less that of a dot of any of its letters.
+
+    That a dot looks like one speaks for no place, so what is left averages one (as a ratio of likelihoods) over the
+    map, whatever the letters were taken for.
+    """
+    n, count = evidence.shape
+    anywhere = any_letter(evidence, share)
     out = np.empty((n, count), np.float32)
     for i in range(n):
         for k in range(count):
-            out[i, k] = evidence[i, k] - any_letter[i]
+            out[i, k] = evidence[i, k] - anywhere[i]
     return out
 
 

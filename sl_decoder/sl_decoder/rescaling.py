@@ -43,8 +43,8 @@ def adopt(reading: Interpretation, other: Interpretation, limit: float) -> None:
     if not len(v) or not len(held):
         return
     dots = other.claim[v, u]
-    nearest = ((other.centre[dots][:, None] - reading.centre[held]) ** 2).sum(-1).min(1)
-    apart = nearest > APART * other.area[dots]
+    nearest, _ = cv2.batchDistance(other.centre[dots], reading.centre[held], cv2.CV_32F, normType=cv2.NORM_L2SQR, K=1)
+    apart = nearest[:, 0] > APART * other.area[dots]
     v, u, dots = v[apart], u[apart], dots[apart]
     reading.make_room(len(dots))
     to = np.arange(reading.n, reading.n + len(dots))

@@ -13,7 +13,7 @@ import numpy as np
 
 from sl_decoder.approximation import exponential, logarithm
 from sl_decoder.compiled import compiled
-from sl_decoder.letter_model import MOST_EVIDENCE
+from sl_decoder.letter_model import MOST_EVIDENCE, any_letter
 
 REACH = 3  # elements to either side
 LEAST_TOGETHER = 4.0  # log-likelihood ratio that a dot and its surroundings must have for their place
@@ -47,19 +47,16 @@ def release_misplaced(claim, letter, evidence, share, map_letters, holder_u, hol
 @compiled
 def _evidence_for_place(claim, evidence, share, map_letters):
     """Log-likelihood ratio (V, U) of each held dot's letter here against anywhere in the map; 0 where none is held."""
+    anywhere = any_letter(evidence, share)
     most = np.float32(MOST_EVIDENCE)
+    scale = np.exp(most)
     out = np.zeros(claim.shape, np.float32)
     for v in range(claim.shape[0]):
         for u in range(claim.shape[1]):
             i = claim[v, u]
-            if i < 0:
-                continue
-            anywhere = np.float32(0)
-            for k in range(len(share)):
-                anywhere += np.float32(share[k]) * exponential(evidence[i, k] - most)
-            anywhere = max(anywhere, exponential(-most))  # what looks like no dot speaks against every place
-            ratio = exponential(evidence[i, map_letters[v, u]] - most) / anywhere
-            out[v, u] = logarithm(np.float32(MISREAD) + np.float32(1 - MISREAD) * ratio)
+            if i >= 0:
+                ratio = exponential(evidence[i, map_letters[v, u]] - anywhere[i] - most) * scale
+                out[v, u] = logarithm(np.float32(MISREAD) + np.float32(1 - MISREAD) * ratio)
     return out
 
 
