@@ -7,7 +7,8 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -23,6 +24,9 @@ from sl_decoder.warmup import warm_up
 
 FIRST_FRAME = "--first-frame"
 """Argument: print the time of the first image after the warm-up over the median of those that follow."""
+
+
+TURNS = 5  # in which the functions of a comparison are timed
 
 
 class Row(NamedTuple):
@@ -45,39 +49,36 @@ def camera_image(pattern: Pattern, width: int, height: int, *, shift: float = 0.
     return np.clip(image + noise, 0, 255).astype(np.uint8)
 
 
-def _median(function: Callable[[], object], repeats: int) -> float:
-    function()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return 1e3 * float(np.median(times))
+def _medians(functions: Sequence[Callable[[], object]], repeats: int) -> list[float]:
+    """Median milliseconds of each function, in turns of some calls: a clock that varies then varies for all of them."""
+    times: list[list[float]] = [[] for _ in functions]
+    for _ in range(TURNS):
+        for function, of_function in zip(functions, times, strict=True):
+            function()  # what the others pushed out of the caches comes back
+            for _ in range(-(-repeats // TURNS)):
+                start = time.perf_counter()
+                function()
+                of_function.append(time.perf_counter() - start)
+    return [1e3 * float(np.median(of_function)) for of_function in times]
 
 
-def floor_time(image: NDArray[np.uint8], repeats: int = 30) -> float:
-    """Milliseconds of channel maximum, threshold and connected components: what any decoder pays at least."""
-
-    def floor() -> None:
-        blue, green, red = cv2.split(image)
-        value = cv2.max(cv2.max(blue, green), red)
-        _, binary = cv2.threshold(value, 60, 255, cv2.THRESH_BINARY)
-        cv2.connectedComponentsWithStats(binary)
-
-    return _median(floor, repeats)
+def floor(image: NDArray[np.uint8]) -> None:
+    """Channel maximum, threshold and connected components: what any decoder pays at least."""
+    blue, green, red = cv2.split(image)
+    value = cv2.max(cv2.max(blue, green), red)
+    _, binary = cv2.threshold(value, 60, 255, cv2.THRESH_BINARY)
+    cv2.connectedComponentsWithStats(binary)
 
 
-def blob_detector_time(image: NDArray[np.uint8], repeats: int = 5) -> tuple[float, float]:
-    """Milliseconds of cv2.SimpleBlobDetector with its default parameters, and with parameters that find the dots."""
-    usual = cv2.SimpleBlobDetector.create()
+def blob_detectors() -> tuple[cv2.SimpleBlobDetector, cv2.SimpleBlobDetector]:
+    """cv2.SimpleBlobDetector with its default parameters, and with parameters that find the dots."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.blobColor = 255
     parameters.minThreshold = 10
     parameters.minArea = 4
     parameters.filterByCircularity = parameters.filterByConvexity = parameters.filterByInertia = False
     parameters.minDistBetweenBlobs = 3
-    fitting = cv2.SimpleBlobDetector.create(parameters)
-    return _median(lambda: usual.detect(image), repeats), _median(lambda: fitting.detect(image), repeats)
+    return cv2.SimpleBlobDetector.create(), cv2.SimpleBlobDetector.create(parameters)
 
 
 def tracking_time(tracker: Tracker, images: list[NDArray[np.uint8]], repeats: int = 60) -> tuple[float, float]:
@@ -106,14 +107,18 @@ def timing_rows(repeats: int = 30) -> list[Row]:
         for name, width, height, limit in (("VGA", 640, 480, 5.0), ("1280x960", 1280, 960, 12.0)):
             image = camera_image(pattern, width, height)
             found = len(decoder.decode(image))
-            decode = _median(lambda image=image: decoder.decode(image), repeats)  # type: ignore[misc]
+            calls = [partial(decoder.decode, image), partial(floor, image)]
+            if name == "VGA":
+                calls += [partial(detector.detect, image) for detector in blob_detectors()]
+            decode, least, *blobs = _medians(calls, repeats)
             rows.append(Row(f"decode {name}, {found} dots", decode, "ms", limit))
             moving = [camera_image(pattern, width, height, shift=1.5 * k, seed=k) for k in range(8)]
             track, share = tracking_time(Tracker(decoder), moving, 2 * repeats)
             rows.append(Row(f"track {name}, {100 * share:.0f} % of the images", track, "ms", limit / 2))
-            rows.append(Row(f"floor {name}: maximum, threshold, components", floor_time(image), "ms"))
-            if name == "VGA":
-                usual, fitting = blob_detector_time(image)
+            rows.append(Row(f"floor {name}: maximum, threshold, components", least, "ms"))
+            rows.append(Row(f"decode {name} over the floor", decode / least, ""))
+            if blobs:
+                usual, fitting = blobs
                 rows.append(Row("decode VGA over SimpleBlobDetector (set to find the dots)", decode / fitting, "", 0.3))
                 rows.append(Row("decode VGA over SimpleBlobDetector (its defaults, finds nothing)", decode / usual, ""))
         return rows
