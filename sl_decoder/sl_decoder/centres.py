@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sl_decoder.approximation import logarithm
+from sl_decoder.backgrounds import CIRCLE, sample_backgrounds
 from sl_decoder.compiled import compiled
-from sl_decoder.segmentation import Segments
+from sl_decoder.planes import channels
+from sl_decoder.segmentation import LANES, Segments
 
 SUPPORT = 3.0  # the weight is zero at this many times the size of the core
 STEP = 2.4  # times the weighted centroid's offset from the weight's middle: it moves by some 0.4 of the centre's
+ROUNDS = 4  # steps at most
+SETTLED = 4.5e-3  # a step [px] after which the centre has been reached
 LOPSIDED = 0.7  # px between weighted centre and middle of the core, which agree in a disc that is whole and evenly lit
-LANES = 16  # pixels of a blob are summed in groups of this many
-SAMPLES = 16  # of the background around a blob
-KEY, BLUE, GREEN, RED, BEFORE = range(0, 5 * SAMPLES, SAMPLES)  # where the samples' values begin
-OUTSIDE = 0  # a place at the border, where the rest is always zero
 
 
 @dataclass(frozen=True)
@@ -54,196 +54,130 @@ class Dots:
 
 
 @compiled
-def channels(colour):
-    """B, G and R (float32) of a packed pixel (uint32) of the top-hat."""
-    low = np.uint32(255)
-    blue, green, red = colour & low, (colour >> np.uint32(8)) & low, (colour >> np.uint32(16)) & low
-    return np.float32(np.int32(blue)), np.float32(np.int32(green)), np.float32(np.int32(red))
+def _gather(colours, pixels, packed):
+    """Colours (H, W) of the pixels (P,): packed (P + LANES,) uint32.
 
-
-@compiled
-def _ring_background(colours, rest, h, w, cx, cy, rx, ry, circle, place, word, left, ring, back):
-    """Background of a blob: mean signal where no blob lies on the ellipse (rx, ry) around (cx, cy).
-
-    The lower three quarters count: skirts of neighbours brighten the rest. Writes back (3,); returns the mean variance
-    of a channel and how many samples count, fewer than three of them mean nothing. colours, rest (H W,): flat. Work
-    space: place int32, word uint32, left uint8, (S,) each; ring (5 S,) float32, one array, so that the compiler sees
-    that its rows do not overlap.
+    Nothing else is done here, so that many cache misses are under way at once.
     """
-    m = np.int32(0)
-    for k in range(min(len(circle), SAMPLES)):
-        x = np.int32(cx + rx * circle[k, 0] + np.float32(0.5))
-        y = np.int32(cy + ry * circle[k, 1] + np.float32(0.5))
-        inside = (x >= 1) & (y >= 1) & (x < w - 1) & (y < h - 1)
-        place[k] = y * w + x if inside else OUTSIDE
-    for k in range(SAMPLES):
-        word[k] = colours[place[k]]
-        left[k] = rest[place[k]]
-    for k in range(min(len(circle), SAMPLES)):
-        b, g, r = channels(word[k])
-        value = max(max(b, g), r)
-        free = (left[k] > 0) | ((value == 0) & (place[k] != OUTSIDE))
-        # distinct keys: equal values keep their order
-        ring[KEY + k] = value + np.float32(k) * np.float32(0.01) if free else np.float32(1e9)
-        ring[BLUE + k], ring[GREEN + k], ring[RED + k] = b, g, r
-        ring[BEFORE + k] = np.float32(0)
-        m += np.int32(free)
-    for j in range(SAMPLES):
-        other = ring[KEY + j]
-        for k in range(min(len(circle), SAMPLES)):
-            ring[BEFORE + k] += np.float32(other < ring[KEY + k])
-    kept = np.float32(m - m // 4)
-    b0 = b1 = b2 = q = np.float32(0)
-    for k in range(min(len(circle), SAMPLES)):
-        use = np.float32(ring[BEFORE + k] < kept)
-        p0, p1, p2 = ring[BLUE + k], ring[GREEN + k], ring[RED + k]
-        b0 += use * p0
-        b1 += use * p1
-        b2 += use * p2
-        q += use * (p0 * p0 + p1 * p1 + p2 * p2)
-    r = np.float32(1) / max(kept, np.float32(1))
-    b0, b1, b2 = b0 * r, b1 * r, b2 * r
-    back[0], back[1], back[2] = b0, b1, b2
-    return (q * r - b0 * b0 - b1 * b1 - b2 * b2) * np.float32(1 / 3), kept
+    flat, w = colours.ravel(), np.int32(colours.shape[1])
+    for k in range(len(pixels)):
+        packed[k] = flat[(pixels[k] >> 16) * w + (pixels[k] & 0xFFFF)]
+    packed[len(pixels) :] = 0
 
 
 @compiled
-def _measure(
-    colours,
-    rest,
-    pixels,
-    start,
-    peak,
-    floor,
-    circle,
-    centre,
-    colour,
-    covariance,
-    area,
-    noise,
-    saturated,
-    cut,
-    profile,
-    shapes,
-):
-    h, w = rest.shape
-    flat = colours.ravel()
-    largest = 0
-    for j in range(len(peak)):
-        largest = max(largest, start[j + 1] - start[j])
-    # rows: x, y, height, B, G, R, saturated, mixture; one array, so that the compiler sees that they do not overlap
-    pixel = np.zeros((8, (largest + LANES - 1) // LANES * LANES), np.float32)
-    ring = np.empty(5 * SAMPLES, np.float32)
-    place = np.empty(max(pixel.shape[1], SAMPLES), np.int32)
-    word = np.empty(SAMPLES, np.uint32)
-    left = np.empty(SAMPLES, np.uint8)
-    back = np.empty(3, np.float32)
+def _find_cores(pixels, packed, start, peak, floor, h, w, centre, middle, colour, covariance, area, saturated, cut):
+    """The cores of the blobs, which are their pixels above half of the peak.
+
+    Writes their centroids, weighted by height in `centre` and plain in `middle` (N, 2), mean colour (N, 3), covariance
+    (N, 3), area, share of saturated pixels, and whether one of them lies at the border of the image.
+    """
     one, zero = np.float32(1), np.float32(0)
     for j in range(len(peak)):
-        s = start[j]
-        count = start[j + 1] - s
+        count = start[j + 1] - start[j]
         whole = (count + LANES - 1) // LANES * LANES
+        place, word = pixels[start[j] : start[j] + whole], packed[start[j] : start[j] + whole]
         base = floor[j]
         half_height = np.float32(0.5) * (peak[j] - base)
-        x_first, y_first = pixels[s] & 0xFFFF, pixels[s] >> 16
+        x_first, y_first = np.int32(place[0] & 0xFFFF), np.int32(place[0] >> 16)
+        n = sx = sy = sw = mx = my = xx = xy = yy = c0 = c1 = c2 = sat = outside = zero
         for k in range(whole):
-            at = pixels[s + k] if k < count else pixels[s]
-            x, y = np.int32(at & 0xFFFF), np.int32(at >> 16)
-            pixel[0, k] = np.float32(np.int32(x - x_first))
-            pixel[1, k] = np.float32(np.int32(y - y_first))
-            place[k] = y * w + x
-        for k in range(whole):  # nothing else here, so that many cache misses are under way at once
-            pixel[2, k] = np.uint32(flat[place[k]]).view(np.float32)
-        west, east = np.float32(1 - x_first), np.float32(w - 2 - x_first)
-        north, south = np.float32(1 - y_first), np.float32(h - 2 - y_first)
-        outside = zero
-        for k in range(whole):
-            packed = np.float32(pixel[2, k]).view(np.uint32)
-            blue, green, red = channels(packed)
-            pixel[2, k] = max(max(blue, green), red) - base if k < count else -one  # below half of any peak
-            pixel[3, k], pixel[4, k], pixel[5, k] = blue, green, red
-            pixel[6, k] = np.float32(np.int32(packed >> np.uint32(24)))
-            x, y = pixel[0, k], pixel[1, k]
-            rim = (x <= west) | (y <= north) | (x >= east) | (y >= south)
-            outside += np.float32(rim & (pixel[2, k] >= half_height))
-        n = sx = sy = sw = mx = my = xx = xy = yy = c0 = c1 = c2 = sat = zero
-        for k in range(whole):
-            v = pixel[2, k]
-            use = one if v >= half_height else zero
-            dx = pixel[0, k]
-            dy = pixel[1, k]
+            x, y = np.int32(place[k] & 0xFFFF), np.int32(place[k] >> 16)
+            blue, green, red = channels(word[k])
+            v = max(max(blue, green), red) - base
+            core = (v >= half_height) & (k < count)
+            use = one if core else zero
+            height = v if core else zero
+            dx, dy = np.float32(x - x_first), np.float32(y - y_first)
             n += use
-            sw += use * v
-            sx += use * v * dx
-            sy += use * v * dy
+            sw += height
+            sx += height * dx
+            sy += height * dy
             mx += use * dx
             my += use * dy
             xx += use * dx * dx
             xy += use * dx * dy
             yy += use * dy * dy
-            c0 += use * pixel[3, k]
-            c1 += use * pixel[4, k]
-            c2 += use * pixel[5, k]
-            sat += use * pixel[6, k]
+            c0 += use * blue
+            c1 += use * green
+            c2 += use * red
+            sat += use * np.float32(np.int32(word[k] >> np.uint32(24)))
+            outside += use if (x <= 1) | (y <= 1) | (x >= w - 2) | (y >= h - 2) else zero
         r = one / n
         mx *= r
         my *= r
         # a pixel is a square: its own variance adds
-        xx = xx * r - mx * mx + np.float32(1 / 12)
-        xy = xy * r - mx * my
-        yy = yy * r - my * my + np.float32(1 / 12)
-        fx, fy = sx / sw, sy / sw
-        x0, y0 = np.float32(x_first), np.float32(y_first)
-        cx, cy = x0 + fx, y0 + fy
-        covariance[j, 0] = xx
-        covariance[j, 1] = xy
-        covariance[j, 2] = yy
+        covariance[j, 0] = xx * r - mx * mx + np.float32(1 / 12)
+        covariance[j, 1] = xy * r - mx * my
+        covariance[j, 2] = yy * r - my * my + np.float32(1 / 12)
+        centre[j, 0], centre[j, 1] = np.float32(x_first) + sx / sw, np.float32(y_first) + sy / sw
+        middle[j, 0], middle[j, 1] = np.float32(x_first) + mx, np.float32(y_first) + my
+        colour[j, 0], colour[j, 1], colour[j, 2] = c0 * r, c1 * r, c2 * r
         area[j] = int(n)
         saturated[j] = sat * r
         cut[j] = outside > zero
-        profile[j] = np.float32(np.nan)
-        rx = np.float32(3.2) * np.sqrt(xx) + np.float32(1.5)
-        ry = np.float32(3.2) * np.sqrt(yy) + np.float32(1.5)
-        variance, m = _ring_background(flat, rest.ravel(), h, w, cx, cy, rx, ry, circle, place, word, left, ring, back)
-        if m >= 3:
-            # neighbouring pixels share the filter: about three of them count as one
-            noise[j] = np.sqrt(max(variance, np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
-        else:
-            back[:] = base
-            noise[j] = max(base, one)
-        c0 = c0 * r - back[0]
-        c1 = c1 * r - back[1]
-        c2 = c2 * r - back[2]
-        colour[j, 0] = c0
-        colour[j, 1] = c1
-        colour[j, 2] = c2
+
+
+@compiled
+def _subtract_backgrounds(floor, area, back, variance, number, colour, noise):
+    """Colours (N, 3) above the backgrounds (N, 3), and their noise (N,); `floor` in place of missing backgrounds."""
+    one = np.float32(1)
+    for j in range(len(floor)):
+        m, n = number[j], np.float32(area[j])
+        # neighbouring pixels share the filter: about three of them count as one
+        noise[j] = np.sqrt(max(variance[j], np.float32(0.3)) * (one / m + one / max(one, n / np.float32(3))))
+        if m < 3:
+            back[j] = floor[j]
+            noise[j] = max(floor[j], one)
+        for c in range(3):
+            colour[j, c] -= back[j, c]
+
+
+@compiled
+def _refine(pixels, packed, start, back, colour, covariance, middle, shapes, centre, cut, profile):
+    """Move the centres (N, 2) to the centroids under the weights around them, in the dots' own mixtures of channels.
+
+    Marks in `cut` what is lopsided, and measures the profiles where `shapes` is true.
+    """
+    largest = 0
+    for j in range(len(centre)):
+        largest = max(largest, start[j + 1] - start[j])
+    # rows: x, y, mixture; one array, so that the compiler sees that they do not overlap
+    pixel = np.empty((3, (largest + LANES - 1) // LANES * LANES), np.float32)
+    one, zero = np.float32(1), np.float32(0)
+    for j in range(len(centre)):
         # the dot's own mixture of channels has the least noise
-        w0 = max(c0, zero)
-        w1 = max(c1, zero)
-        w2 = max(c2, zero)
+        w0, w1, w2 = max(colour[j, 0], zero), max(colour[j, 1], zero), max(colour[j, 2], zero)
         total = w0 + w1 + w2
+        profile[j] = np.float32(np.nan)
         if total <= 0:
-            centre[j, 0] = cx
-            centre[j, 1] = cy
             continue
-        w0 /= total
-        w1 /= total
-        w2 /= total
-        offset = w0 * back[0] + w1 * back[1] + w2 * back[2]
+        w0, w1, w2 = w0 / total, w1 / total, w2 / total
+        offset = w0 * back[j, 0] + w1 * back[j, 1] + w2 * back[j, 2]
+        count = start[j + 1] - start[j]
+        whole = (count + LANES - 1) // LANES * LANES
+        place, word = pixels[start[j] : start[j] + whole], packed[start[j] : start[j] + whole]
+        x_first, y_first = np.int32(place[0] & 0xFFFF), np.int32(place[0] >> 16)
         for k in range(whole):
-            pixel[7, k] = w0 * pixel[3, k] + w1 * pixel[4, k] + w2 * pixel[5, k] - offset if k < count else zero
+            blue, green, red = channels(word[k])
+            pixel[0, k] = np.float32(np.int32(place[k] & 0xFFFF) - x_first)
+            pixel[1, k] = np.float32(np.int32(place[k] >> 16) - y_first)
+            pixel[2, k] = w0 * blue + w1 * green + w2 * red - offset if k < count else zero
+        xx, xy, yy = covariance[j, 0], covariance[j, 1], covariance[j, 2]
         det = max(xx * yy - xy * xy, np.float32(1e-3)) * np.float32(SUPPORT * SUPPORT)
         ixx = yy / det
         ixy = np.float32(-2) * xy / det
         iyy = xx / det
+        x0, y0 = np.float32(x_first), np.float32(y_first)
+        fx, fy = centre[j, 0] - x0, centre[j, 1] - y0
         ox, oy = fx, fy
-        for _ in range(4):
+        for _ in range(ROUNDS):
             sx = sy = sw = zero
             for k in range(whole):
                 dx = pixel[0, k] - ox
                 dy = pixel[1, k] - oy
                 g = max(one - (ixx * dx * dx + ixy * dx * dy + iyy * dy * dy), zero)
-                g = g * g * pixel[7, k]
+                g = g * g * pixel[2, k]
                 sw += g
                 sx += g * dx
                 sy += g * dy
@@ -253,30 +187,27 @@ def _measure(
             sy = np.float32(STEP) * sy / sw
             ox += sx
             oy += sy
-            if sx * sx + sy * sy < np.float32(2e-5):
+            if sx * sx + sy * sy < np.float32(SETTLED * SETTLED):
                 break
         if (ox - fx) ** 2 + (oy - fy) ** 2 > np.float32(0.5) * (xx + yy) + np.float32(0.25):
             ox, oy = fx, fy
         centre[j, 0] = x0 + ox
         centre[j, 1] = y0 + oy
-        cut[j] |= (ox - mx) ** 2 + (oy - my) ** 2 > np.float32(LOPSIDED * LOPSIDED)
+        lean = (centre[j, 0] - middle[j, 0]) ** 2 + (centre[j, 1] - middle[j, 1]) ** 2
+        cut[j] |= lean > np.float32(LOPSIDED * LOPSIDED)
         if not shapes:
             continue
         sw = m2 = m4 = zero
         for k in range(whole):
             dx = pixel[0, k] - ox
             dy = pixel[1, k] - oy
-            v = max(pixel[7, k], zero)
+            v = max(pixel[2, k], zero)
             r2 = ixx * dx * dx + ixy * dx * dy + iyy * dy * dy
             sw += v
             m2 += v * r2
             m4 += v * r2 * r2
         if m2 > 0:
             profile[j] = logarithm(m4 * sw / (m2 * m2))
-
-
-_ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
-_CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 
 def measure(segments: Segments, *, shapes: bool = True) -> Dots:
@@ -292,22 +223,40 @@ def measure(segments: Segments, *, shapes: bool = True) -> Dots:
         cut=np.empty(n, np.bool_),
         profile=np.zeros(n, np.float32),
     )
-    _measure(
-        segments.colour,
-        segments.rest,
+    middle, back = np.empty((n, 2), np.float32), np.empty((n, 3), np.float32)
+    variance, number = np.empty(n, np.float32), np.empty(n, np.float32)
+    h, w = segments.rest.shape
+    packed = np.empty(segments.start[-1] + LANES, np.uint32)
+    _gather(segments.colour, segments.pixels[: segments.start[-1]], packed)
+    _find_cores(
         segments.pixels,
+        packed,
         segments.start,
         segments.peak,
         segments.floor,
-        _CIRCLE,
+        h,
+        w,
         dots.centre,
+        middle,
         dots.colour,
         dots.covariance,
         dots.area,
-        dots.noise,
         dots.saturated,
         dots.cut,
-        dots.profile,
+    )
+    sample_backgrounds(segments.colour, segments.rest, dots.centre, dots.covariance, CIRCLE, back, variance, number)
+    _subtract_backgrounds(segments.floor, dots.area, back, variance, number, dots.colour, dots.noise)
+    _refine(
+        segments.pixels,
+        packed,
+        segments.start,
+        back,
+        dots.colour,
+        dots.covariance,
+        middle,
         shapes,
+        dots.centre,
+        dots.cut,
+        dots.profile,
     )
     return dots

@@ -112,6 +112,14 @@ def top_hat(smooth, half, hat, colour):
 
 
 @compiled
+def channels(colour):
+    """B, G and R (float32) of a packed pixel (uint32) of the top-hat."""
+    low = np.uint32(255)
+    blue, green, red = colour & low, (colour >> np.uint32(8)) & low, (colour >> np.uint32(16)) & low
+    return np.float32(np.int32(blue)), np.float32(np.int32(green)), np.float32(np.int32(red))
+
+
+@compiled
 def mark_maxima(hat, limits, block, maximum):
     """Mark the local maxima of hat (H, W) above limits (rows and columns of blocks) uint8: maximum (H, W) uint8.
 

@@ -24,6 +24,7 @@ SADDLE_RATIO = 0.8  # maxima that connect above this share of their height are o
 FOOT_RATIO = 0.2  # a blob's pixels reach down to this share of its height
 NOISE_FACTOR = 4.0  # a dot's pixels stand this many standard deviations above the background
 MAX_BLOBS = 30000
+LANES = 16  # pixels of a blob are summed in groups of this many
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,9 @@ class Segments:
 
     smooth (3, H, W) uint8: planes of the image under the 3x3 binomial filter that removes the mosaic's frequency;
     colour (H, W) uint32 what stands above the background, packed (see `planes.top_hat`); rest (H, W) uint8 its largest
-    channel where no blob is; pixels (P,) int32 the blobs' pixels, 65536 y + x, blob by blob, start (N + 1,) int32
-    where each blob's begin; peak, floor (N,) float32 height of the blob and of the background around it in the largest
-    channel.
+    channel where no blob is; pixels (P,) int32 the blobs' pixels, 65536 y + x, blob by blob, with room for LANES behind
+    the last, start (N + 1,) int32 where each blob's begin; peak, floor (N,) float32 height of the blob and of the
+    background around it in the largest channel.
     """
 
     smooth: NDArray[np.uint8]
@@ -192,8 +193,8 @@ def segment(bgr: NDArray[np.uint8], kernel: int) -> Segments:
     measure_noise(hat, NOISE_FACTOR, level, threshold)
     maximum = np.empty((h, w), np.uint8)
     mark_maxima(hat, threshold, BLOCK, maximum)
-    pixels = np.empty(h * w + 8, np.int32)
-    height = np.empty(h * w + 8, np.uint8)
+    pixels = np.empty(h * w + LANES, np.int32)
+    height = np.empty(h * w, np.uint8)
     start = np.empty(MAX_BLOBS + 1, np.int32)
     peak = np.empty(MAX_BLOBS, np.float32)
     floor = np.empty(MAX_BLOBS, np.float32)
