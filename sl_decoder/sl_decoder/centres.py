@@ -73,8 +73,9 @@ def _find_cores(pixels, packed, start, peak, floor, h, w, centre, middle, colour
     (N, 3), area, share of saturated pixels, and whether one of them lies at the border of the image.
     """
     one, zero = np.float32(1), np.float32(0)
+    right, bottom = np.int32(w - 2), np.int32(h - 2)
     for j in range(len(peak)):
-        count = start[j + 1] - start[j]
+        count = np.int32(start[j + 1] - start[j])
         whole = (count + LANES - 1) // LANES * LANES
         place, word = pixels[start[j] : start[j] + whole], packed[start[j] : start[j] + whole]
         base = floor[j]
@@ -85,10 +86,10 @@ def _find_cores(pixels, packed, start, peak, floor, h, w, centre, middle, colour
             x, y = np.int32(place[k] & 0xFFFF), np.int32(place[k] >> 16)
             blue, green, red = channels(word[k])
             v = max(max(blue, green), red) - base
-            core = (v >= half_height) & (k < count)
+            core = (v >= half_height) & (np.int32(k) < count)
             use = one if core else zero
             height = v if core else zero
-            dx, dy = np.float32(x - x_first), np.float32(y - y_first)
+            dx, dy = np.float32(np.int32(x - x_first)), np.float32(np.int32(y - y_first))
             n += use
             sw += height
             sx += height * dx
@@ -102,7 +103,7 @@ def _find_cores(pixels, packed, start, peak, floor, h, w, centre, middle, colour
             c1 += use * green
             c2 += use * red
             sat += use * np.float32(np.int32(word[k] >> np.uint32(24)))
-            outside += use if (x <= 1) | (y <= 1) | (x >= w - 2) | (y >= h - 2) else zero
+            outside += use if (x <= 1) | (y <= 1) | (x >= right) | (y >= bottom) else zero
         r = one / n
         mx *= r
         my *= r
@@ -160,8 +161,8 @@ def _refine(pixels, packed, start, back, colour, covariance, middle, shapes, cen
         x_first, y_first = np.int32(place[0] & 0xFFFF), np.int32(place[0] >> 16)
         for k in range(whole):
             blue, green, red = channels(word[k])
-            pixel[0, k] = np.float32(np.int32(place[k] & 0xFFFF) - x_first)
-            pixel[1, k] = np.float32(np.int32(place[k] >> 16) - y_first)
+            pixel[0, k] = np.float32(np.int32((place[k] & 0xFFFF) - x_first))
+            pixel[1, k] = np.float32(np.int32((place[k] >> 16) - y_first))
             pixel[2, k] = w0 * blue + w1 * green + w2 * red - offset if k < count else zero
         xx, xy, yy = covariance[j, 0], covariance[j, 1], covariance[j, 2]
         det = max(xx * yy - xy * xy, np.float32(1e-3)) * np.float32(SUPPORT * SUPPORT)
