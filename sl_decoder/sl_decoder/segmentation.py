@@ -24,6 +24,7 @@ SADDLE_RATIO = 0.8  # maxima that connect above this share of their height are o
 FOOT_RATIO = 0.2  # a blob's pixels reach down to this share of its height
 NOISE_FACTOR = 4.0  # a dot's pixels stand this many standard deviations above the background
 MAX_BLOBS = 30000
+HIGHEST = 255  # value of a pixel
 LANES = 16  # pixels of a blob are summed in groups of this many
 
 
@@ -127,54 +128,67 @@ def flood(hat, level, threshold, maximum, pixels, height, start, peak, base):
             y = i // w
             x = i - y * w
             floor = level[y // BLOCK, x // BLOCK]
-            value = np.int64(flat[i])
-            n += 1
-            first = end
+            least = threshold[y // BLOCK, x // BLOCK]
+            top = np.int64(flat[i])
+            join, low = _limits(top, floor, least)
+            first_join, first_low = join, low
+            first = head = end
             pixels[end] = (y << 16) + x
             height[end] = flat[i]
             flat[i] = 0
             end += 1
-            join = np.int64(np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor)))
-            head = first
             while head < end:
                 place = np.int64(pixels[head])
                 j = (place >> 16) * w + (place & 0xFFFF)
+                own = np.int64(height[head])
                 head += 1
-                for step in range(8):
-                    k = j + around[step]
-                    v = flat[k]
-                    if v >= join:
-                        flat[k] = 0
-                        pixels[end] = place + beside[step]
-                        height[end] = v
-                        end += 1
-                        if v > value:
-                            value = np.int64(v)
-                            join = np.int64(np.ceil(floor + np.float32(SADDLE_RATIO) * (value - floor)))
-            top = np.float32(value)
-            foot = max(floor + np.float32(FOOT_RATIO) * (top - floor), np.float32(threshold[y // BLOCK, x // BLOCK]))
-            low = np.int64(foot) + 1
-            head = first
-            while head < end:
-                place = np.int64(pixels[head])
-                j = (place >> 16) * w + (place & 0xFFFF)
-                span = np.int64(height[head]) - low
-                head += 1
-                if span < 0:
+                if own < low:
                     continue
+                # around the dot's core everything follows, else what is no higher
+                span = np.uint64((HIGHEST if own >= join else own) - low)
                 for step in range(8):
                     k = j + around[step]
-                    v = flat[k]
-                    if np.uint64(v - low) <= np.uint64(span):
+                    v = np.int64(flat[k])
+                    if np.uint64(v - low) <= span:
                         flat[k] = 0
                         pixels[end] = place + beside[step]
                         height[end] = v
                         end += 1
-            start[n - 1] = first
-            peak[n - 1] = top
-            base[n - 1] = floor
+                        if v > top:
+                            top = v
+                            join, low = _limits(top, floor, least)
+                            span = np.uint64(HIGHEST - low)
+            if low > first_low:
+                end = _give_back(hat, min(low, first_join), pixels, height, first, end)
+            start[n] = first
+            peak[n] = np.float32(top)
+            base[n] = floor
+            n += 1
     start[n] = end
     return n
+
+
+@compiled
+def _limits(top, floor, least):
+    """From which height on what is connected is the same dot, and from which on it belongs to the blob at all."""
+    above = np.float32(top) - floor
+    join = np.int64(np.ceil(floor + np.float32(SADDLE_RATIO) * above))
+    low = np.int64(max(floor + np.float32(FOOT_RATIO) * above, np.float32(least))) + 1
+    return join, min(low, join)
+
+
+@compiled
+def _give_back(hat, low, pixels, height, first, end):
+    """Give back the pixels below `low`, of a blob that is higher than where it began; returns where it now ends."""
+    keep = first
+    for k in range(first, end):
+        place = pixels[k]
+        if height[k] < low:
+            hat[place >> 16, place & 0xFFFF] = height[k]
+        else:
+            pixels[keep] = place
+            keep += 1
+    return keep
 
 
 def segment(bgr: NDArray[np.uint8], kernel: int) -> Segments:
