@@ -107,7 +107,7 @@ def timing_rows(repeats: int = 30) -> list[Row]:
         for name, width, height, limit in (("VGA", 640, 480, 5.0), ("1280x960", 1280, 960, 12.0)):
             image = camera_image(pattern, width, height)
             found = len(decoder.decode(image))
-            calls = [partial(decoder.decode, image), partial(floor, image)]
+            calls: list[Callable[[], object]] = [partial(decoder.decode, image), partial(floor, image)]
             if name == "VGA":
                 calls += [partial(detector.detect, image) for detector in blob_detectors()]
             decode, least, *blobs = _medians(calls, repeats)
