@@ -10,7 +10,7 @@ import numpy as np
 from sl_decoder.compiled import compiled
 from sl_decoder.growth import UNPREDICTED, predict
 from sl_decoder.letter_model import letter_evidence, mixtures, neighbours_field, projected_signal
-from sl_decoder.matched import FOUND, WORK, measure_at
+from sl_decoder.matched import FOUND, measure_at, workspace
 
 STILL_LIT = 0.5  # share of its signal in the last image from which a dot under its prediction is taken for the same
 
@@ -49,24 +49,25 @@ def follow(
     """
     rows, cols = index.shape
     found = np.empty(FOUND, np.float32)
-    work = np.empty(WORK, np.float32)
+    work = workspace()
     mixes = mixtures(model.direction)
     n = 0
     expected = measured = np.float32(0)
+    two = np.float32(2)
     for v in range(rows):
         for u in range(cols):
             claim[v, u] = -1
             i = index[v, u]
-            if i < 0 or i % every:
+            if i < 0 or (every > 1 and i % every):
                 continue
             _, _, kind, ax, ay, bx, by = predict(index, place, v, u, steps)
             if kind == UNPREDICTED:
                 continue
             # footprint from lattice units to pixels: B K B^T
             kxx, kxy, kyy = shape[i, 0], shape[i, 1], shape[i, 2]
-            cxx = ax * ax * kxx + 2 * ax * bx * kxy + bx * bx * kyy
+            cxx = ax * ax * kxx + two * ax * bx * kxy + bx * bx * kyy
             cxy = ax * ay * kxx + (ax * by + bx * ay) * kxy + bx * by * kyy
-            cyy = ay * ay * kxx + 2 * ay * by * kxy + by * by * kyy
+            cyy = ay * ay * kxx + two * ay * by * kxy + by * by * kyy
             g = model.group[map_letters[v, u]]
             px, py = place[i, 0], place[i, 1]
             mix = mixes[g]

@@ -74,10 +74,9 @@ def predict(claim, centre, v, u, steps):
             dy[d] = centre[p, 1]
             diagonal[d] = True
             n_diagonal += 1
-    zero = np.float32(0)
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     ax = ay = bx = by = zero
-    na = nb = 0
-    sx = sy = sw = zero
+    na = nb = sx = sy = sw = zero
     pairs = 0
     for d in range(directions):
         e = (d + 1) % directions
@@ -87,38 +86,38 @@ def predict(claim, centre, v, u, steps):
             if e % half == 0:
                 ax += s * (dx[d] - hx[d])
                 ay += s * (dy[d] - hy[d])
-                na += 1
+                na += one
             elif e % half == 1:
                 bx += s * (dx[d] - hx[d])
                 by += s * (dy[d] - hy[d])
-                nb += 1
+                nb += one
             if held[e]:
                 sx += hx[d] + hx[e] - dx[d]
                 sy += hy[d] + hy[e] - dy[d]
-                sw += 1
+                sw += one
         if held[e] and diagonal[d]:
             s = np.float32(1.0) if d < half else np.float32(-1.0)
             if d % half == 0:
                 ax += s * (dx[d] - hx[e])
                 ay += s * (dy[d] - hy[e])
-                na += 1
+                na += one
             elif d % half == 1:
                 bx += s * (dx[d] - hx[e])
                 by += s * (dy[d] - hy[e])
-                nb += 1
+                nb += one
         if d < half and held[d] and held[d + half]:
             pairs += 1
             sx += np.float32(0.5) * (hx[d] + hx[d + half])
             sy += np.float32(0.5) * (hy[d] + hy[d + half])
-            sw += 1
+            sw += one
             if d == 0:
                 ax += hx[0] - hx[half]
                 ay += hy[0] - hy[half]
-                na += 2
+                na += two
             elif d == 1:
                 bx += hx[1] - hx[1 + half]
                 by += hy[1] - hy[1 + half]
-                nb += 2
+                nb += two
     if n_held == directions and (n_diagonal == directions or directions == 6):
         x = y = zero
         for d in range(directions):
@@ -131,8 +130,8 @@ def predict(claim, centre, v, u, steps):
             x *= np.float32(0.5)
             y *= np.float32(0.5)
         else:
-            x /= 6
-            y /= 6
+            x *= np.float32(1 / 6)
+            y *= np.float32(1 / 6)
         return x, y, FULL, ax / na, ay / na, bx / nb, by / nb
     for d in range(directions):
         if not held[d] or (held[(d + half) % directions]):
@@ -147,17 +146,17 @@ def predict(claim, centre, v, u, steps):
         if d % half == 0:
             ax += s * lx
             ay += s * ly
-            na += 1
+            na += one
         elif d % half == 1:
             bx += s * lx
             by += s * ly
-            nb += 1
+            nb += one
         v3, u3 = v2 + steps[d, 1], u2 + steps[d, 0]
         if 0 <= v3 < rows and 0 <= u3 < cols and claim[v3, u3] >= 0:
             r = claim[v3, u3]
-            sx += 3 * hx[d] - 3 * centre[q, 0] + centre[r, 0]
-            sy += 3 * hy[d] - 3 * centre[q, 1] + centre[r, 1]
-            sw += 1
+            sx += np.float32(3) * (hx[d] - centre[q, 0]) + centre[r, 0]
+            sy += np.float32(3) * (hy[d] - centre[q, 1]) + centre[r, 1]
+            sw += one
         else:
             sx += np.float32(0.5) * (hx[d] - lx)
             sy += np.float32(0.5) * (hy[d] - ly)

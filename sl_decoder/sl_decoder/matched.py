@@ -17,7 +17,7 @@ from sl_decoder.planes import SATURATED
 WEIGHT = 2.6  # the weight is zero at this many times the size of the core
 LANES = 64  # pixels of a window that are summed at once
 LEAST_CONTRAST = 2.5  # standard deviations that a dot's mean must stand above its background
-STEPS = 4  # at most, towards the centroid
+STEPS = 8  # at most, towards the centroid: what does not come to rest is no dot's middle
 SETTLED = 0.1  # a step [px] after which the centroid has been reached: the next would be a tenth of it
 SLOPE = 0.3  # of the centroid against the middle of the weight, at least; that of a disc is a quarter to a half
 MERGED_SLOPE = 0.67  # for dots that were searched: with long steps, what merged with a neighbour would slide into it
@@ -25,13 +25,21 @@ MARGIN = 0.8  # px from the middle of a window, beyond which the next step is ma
 
 SAMPLES = 16
 LARGEST = 128  # side of a window [px]
-WORK = 4 * SAMPLES + 3 * LARGEST * LARGEST
-"""Numbers that `measure_at` needs to work with."""
+_HEAD = 4 * SAMPLES  # in the memory to work with: behind the samples, columns and rows of the window that follows
+_WINDOW = _HEAD + 16
 FOUND = 10
 """Numbers that `measure_at` finds."""
 
 _ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
 CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
+
+
+@compiled
+def workspace():
+    """Memory that `measure_at` needs to work with."""
+    work = np.empty(_WINDOW + 5 * LARGEST * LARGEST, np.float32)
+    work[_HEAD] = work[_HEAD + 1] = np.float32(0)
+    return work
 
 
 @compiled
@@ -73,47 +81,52 @@ def _surroundings(smooth, px, py, sx, sy, mix, circle, work):
 
 
 @compiled
-def _cut_out(smooth, px, py, hx, hy, window):
-    """Cut out of an image what lies within (hx, hy) of (px, py): lists of B, G, R in `window`, one after the other.
+def _cut_out(smooth, px, py, hx, hy, work):
+    """Cut out of an image what lies within (hx, hy) of (px, py).
 
-    Returns left, top and the number of columns, as its power of two, and of rows; 0 rows where it does not fit.
+    The window in `work` gets lists of its pixels' x, y, B, G, R, one after the other: single precision only, which
+    makes wide vectors. Returns left, top and the number of pixels; 0 where it does not fit.
     """
     _, h, w = smooth.shape
-    cols, shift = 8, 3
-    while cols < 2 * hx + 1:
-        cols, shift = 2 * cols, shift + 1
+    cols = 8
+    while cols < np.float32(2) * hx + np.float32(1):
+        cols *= 2
     step = max(1, LANES // cols)
-    rows = (int(2 * hy) + step + 1) // step * step
+    rows = (int(np.float32(2) * hy) + step + 1) // step * step
     left = max(0, min(int(px - np.float32(0.5) * np.float32(cols - 2)), w - cols))
     top = max(0, min(int(py - np.float32(0.5) * np.float32(rows - 2)), h - rows))
     size = rows * cols
-    if 3 * size > len(window) or cols > w or rows > h:
-        return left, top, shift, 0
+    window = work[_WINDOW:]
+    if 5 * size > len(window) or cols > w or rows > h:
+        return left, top, 0
+    if work[_HEAD] != cols or work[_HEAD + 1] != rows:  # seldom: most dots of an image are of a size
+        work[_HEAD], work[_HEAD + 1] = cols, rows
+        for k in range(size):
+            window[k], window[size + k] = k % cols, k // cols
     for c in range(3):
         for y in range(rows):
             # slices: the compiler then sees how they lie, and makes vectors of this
             row = smooth[c, top + y, left : left + cols]
-            to = window[c * size + y * cols : c * size + y * cols + cols]
+            first = (2 + c) * size + y * cols
+            to = window[first : first + cols]
             for x in range(cols):
                 to[x] = np.float32(row[x])
-    return left, top, shift, rows
+    return left, top, size
 
 
 @compiled
-def _weigh(window, shift, rows, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
-    """What stands above `offset`, under the weight of an ellipse around (mx, my).
+def _weigh(window, size, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
+    """What stands above `offset` in a window of `size` pixels, under the weight of an ellipse around (mx, my).
 
     out (9,) gets Newton's step from there to the point that is the centroid under the weight around it; mean B, G, R,
     share of saturated pixels, and covariance xx, xy, yy. slope: see SLOPE. Returns False where there is no such point.
     """
     one, zero = np.float32(1), np.float32(0)
-    size, mask = rows << shift, (1 << shift) - 1
     w0, w1, w2 = mix[0], mix[1], mix[2]
     c0 = c1 = c2 = weight = saturated = tx = ty = total = lost = xx = xy = yy = zero
     for k in range(size):
-        dx = np.float32(np.int32(k & mask)) - mx
-        dy = np.float32(np.int32(k >> shift)) - my
-        p0, p1, p2 = window[k], window[k + size], window[k + 2 * size]
+        dx, dy = window[k] - mx, window[k + size] - my
+        p0, p1, p2 = window[k + 2 * size], window[k + 3 * size], window[k + 4 * size]
         q = max(one - (ixx * dx * dx + ixy * dx * dy + iyy * dy * dy), zero)
         g = q * q
         weight += g
@@ -143,36 +156,38 @@ def _weigh(window, shift, rows, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
 
 
 @compiled
-def _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, slope, window, out):
+def _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, slope, work, out):
     """Follow the centroid from (px, py) to its fixed point: out (9,) gets its place, and what `_weigh` gives there.
 
-    Returns False where there is none, or the image ends.
+    Returns False where there is none within STEPS, or the image ends.
     """
     one = np.float32(1)
     hx, hy = np.float32(WEIGHT) * np.sqrt(cxx), np.float32(WEIGHT) * np.sqrt(cyy)
     norm = one / (max(cxx * cyy - cxy * cxy, np.float32(1e-3)) * np.float32(WEIGHT * WEIGHT))
-    ixx, ixy, iyy = cyy * norm, -2 * cxy * norm, cxx * norm
+    ixx, ixy, iyy = cyy * norm, np.float32(-2) * cxy * norm, cxx * norm
     right, bottom = smooth.shape[2] - hx, smooth.shape[1] - hy
     x, y = px, py
-    left = top = shift = rows = 0
+    left = top = size = 0
+    window = work[_WINDOW:]
     x0 = y0 = np.float32(-1e9)  # middle of the window
     for _ in range(STEPS):
         if abs(x - x0) + abs(y - y0) > np.float32(MARGIN):
             if not (hx <= x < right and hy <= y < bottom):
                 return False
-            left, top, shift, rows = _cut_out(smooth, x, y, hx, hy, window)
-            if rows == 0:
+            left, top, size = _cut_out(smooth, x, y, hx, hy, work)
+            if size == 0:
                 return False
             x0, y0 = x, y
-        if not _weigh(window, shift, rows, x - left, y - top, ixx, ixy, iyy, mix, offset, slope, out):
+        mx, my = x - np.float32(left), y - np.float32(top)
+        if not _weigh(window, size, mx, my, ixx, ixy, iyy, mix, offset, slope, out):
             return False
         tx, ty = out[0], out[1]
         x += tx
         y += ty
         if tx * tx + ty * ty < np.float32(SETTLED * SETTLED):
-            break
-    out[0], out[1] = x, y
-    return True
+            out[0], out[1] = x, y
+            return True
+    return False
 
 
 @compiled
@@ -206,8 +221,8 @@ def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, least,
     """Find and measure the dot near (px, py).
 
     smooth (3, H, W) uint8; cxx, cxy, cyy expected core covariance [px^2]; mix (3,) expected share of the channels; a, b
-    local lattice basis [px], in which `reach` bounds the search; circle (S, 2); work (WORK,) float32. The dot under the
-    prediction is taken if its mean signal is at least `least`, else the highest place around is searched.
+    local lattice basis [px], in which `reach` bounds the search; circle (S, 2); work: see `workspace`. The dot under
+    the prediction is taken if its mean signal is at least `least`, else the highest place around is searched.
     out (FOUND,) float32 gets x, y, B, G, R above the background, the share of saturated pixels, the covariance xx, xy,
     yy under the weight, whose own width bounds it, and the noise of a channel. Returns False where no dot stands out.
     """
@@ -222,15 +237,14 @@ def measure_at(smooth, px, py, cxx, cxy, cyy, mix, ax, ay, bx, by, reach, least,
     if not (sx <= px < w - sx - 1 and sy <= py < h - sy - 1):
         return False
     b0, b1, b2, sigma, dark = _surroundings(smooth, px, py, sx, sy, mix, circle, work)
-    window = work[4 * SAMPLES :]
     w0, w1, w2 = mix[0], mix[1], mix[2]
     offset = w0 * b0 + w1 * b1 + w2 * b2
     good = False
-    if least < np.inf and _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, np.float32(SLOPE), window, out):
+    if least < np.inf and _settle(smooth, px, py, cxx, cxy, cyy, mix, offset, np.float32(SLOPE), work, out):
         good = w0 * out[2] + w1 * out[3] + w2 * out[4] - offset >= least
     if not good:
         x, y = _search(smooth, px, py, mix, ax, ay, bx, by, reach, dark)
-        if not _settle(smooth, x, y, cxx, cxy, cyy, mix, offset, np.float32(MERGED_SLOPE), window, out):
+        if not _settle(smooth, x, y, cxx, cxy, cyy, mix, offset, np.float32(MERGED_SLOPE), work, out):
             return False
     ex, ey = (out[0] - px) / (det_ab * reach), (out[1] - py) / (det_ab * reach)
     s = ex * by - ey * bx

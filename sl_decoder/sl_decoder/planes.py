@@ -18,12 +18,15 @@ from sl_decoder.compiled import compiled
 SATURATED = 250  # a channel from here on has lost its proportion
 
 
-def smoothed(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def smoothed(bgr: NDArray[np.uint8], planes: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
     """Planes (3, H, W) uint8 of an image (H, W, 3) under the 3x3 binomial filter, mirrored at the border.
 
-    It removes the frequency of a Bayer mosaic.
+    It removes the frequency of a Bayer mosaic. planes: those of an earlier image, overwritten if they have the size:
+    fresh memory costs as much time as the filter.
     """
-    planes = np.empty((3, *bgr.shape[:2]), np.uint8)
+    shape = (3, *bgr.shape[:2])
+    if planes is None or planes.shape != shape:
+        planes = np.empty(shape, np.uint8)
     binomial(np.ascontiguousarray(bgr), planes)
     return planes
 

@@ -14,7 +14,7 @@ import numpy as np
 from sl_decoder.compiled import compiled
 from sl_decoder.growth import EXTRAPOLATED, UNPREDICTED, lattice_error, predict
 from sl_decoder.letter_model import evidence_of_one, mixtures, neighbours_field, projected_signal
-from sl_decoder.matched import FOUND, WORK, measure_at
+from sl_decoder.matched import FOUND, measure_at, workspace
 
 REACH = 0.3  # search radius around the prediction, lattice units
 OFFSET_SAMPLES = 100  # dots that are measured both ways to find how the two ways differ
@@ -28,7 +28,7 @@ def _mean_footprint(claim, v, u, covariance, area, window):
     """Mean covariance (xx, xy, yy) and area of the held neighbours of the map's element (u, v)."""
     rows, cols = claim.shape
     cxx = cxy = cyy = size = np.float32(0)
-    m = 0
+    m = np.float32(0)
     for p in range(1, len(window)):
         vv, uu = v + window[p, 1], u + window[p, 0]
         if 0 <= vv < rows and 0 <= uu < cols and claim[vv, uu] >= 0:
@@ -36,8 +36,8 @@ def _mean_footprint(claim, v, u, covariance, area, window):
             cxx += covariance[j, 0]
             cxy += covariance[j, 1]
             cyy += covariance[j, 2]
-            size += area[j]
-            m += 1
+            size += np.float32(area[j])
+            m += np.float32(1)
     return cxx / m, cxy / m, cyy / m, size / m
 
 
@@ -47,7 +47,7 @@ def matched_offset(claim, smooth, centre, covariance, signal, map_letters, steps
     rows, cols = claim.shape
     values = np.empty(OFFSET_SAMPLES, np.float32)
     found = np.empty(FOUND, np.float32)
-    work = np.empty(WORK, np.float32)
+    work = workspace()
     mixes = mixtures(model.direction)
     n = 0
     held = 0
@@ -130,7 +130,7 @@ def recover(
     tail = 0
     head = 0
     found = np.empty(FOUND, np.float32)
-    work = np.empty(WORK, np.float32)
+    work = workspace()
     mixes = mixtures(model.direction)
     for v in range(rows):
         for u in range(cols):

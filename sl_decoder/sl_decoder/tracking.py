@@ -71,6 +71,7 @@ class Tracker:
         self._offset = np.float32(0)
         self._stamp: int | None = None
         self._size: tuple[int, ...] = ()
+        self._smooth: NDArray[np.uint8] | None = None
         self._since_full = 0
         self._full_count = 0
 
@@ -93,11 +94,11 @@ class Tracker:
         if self._stamp is not None and not usable:
             self.reset()
         reading = None
+        smooth = self._smooth = smoothed(bgr, self._smooth)
         if usable and self._since_full < self.options.refresh:
-            reading = self._verify(bgr, gap)
+            reading = self._verify(smooth, gap)
         tracked = reading is not None
         if reading is None:
-            smooth = smoothed(bgr)
             reading = self._decoder.interpret(bgr)
             self._since_full = 0
             self._full_count = reading.decoded()
@@ -110,9 +111,8 @@ class Tracker:
         map_v, map_u = self._decoder.elements(decoded.row, decoded.col)
         return replace(decoded, track_id=ids[map_v, map_u], decode_time=time.perf_counter() - start)
 
-    def _verify(self, bgr: NDArray[np.uint8], gap: float) -> Interpretation | None:
+    def _verify(self, smooth: NDArray[np.uint8], gap: float) -> Interpretation | None:
         """Decode around the prediction; None when too little of it holds."""
-        smooth = smoothed(bgr)
         rows = np.flatnonzero(self._claim.ravel() >= 0)
         if len(rows) < self.options.least_dots:
             return None
