@@ -4,13 +4,19 @@ Dot by dot, the orientations to the nearest neighbours and to the next ones (the
 lattice's symmetry. A mixture of two components over their histogram finds the direction of either kind, and with them
 the angle that separates them; each dot is then linked to the nearest dot in every expected direction. One pair of
 directions holds for the whole image, so this is worse than the local bases of `graph` where surfaces bend or differ,
-and better where noise hides many dots of a plane: it serves as a second opinion on what the local bases left.
+and better where noise hides many dots of a plane: it serves as a second opinion on what the local bases left. Of its
+links those are taken that are sides of cells of the lattice.
 """
+
+# mypy: allow-untyped-defs, no-check-untyped-defs
+# (compiled functions get their types from their arguments)
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sl_decoder.compiled import compiled
 
 BINS = 90  # of the histogram, over one period of the lattice's symmetry
 STEPS = 40  # most iterations
@@ -47,7 +53,8 @@ def links(
     """Neighbours (N, D) int32 in the lattice's directions, -1 for none, and quality (N,) float32: how many are missing.
 
     points (N, 2) px; shape (N, 3) footprints, in whose metric angles are taken; near (N, K) int32 nearest dots or -1;
-    directions: D, 4 or 6. The quality is infinite for dots with fewer than half of their neighbours.
+    directions: D, 4 or 6. The quality is infinite for dots with fewer than half of their neighbours. Links are mutual,
+    and close a cell of the lattice.
     """
     n = len(points)
     trace = 1.0 / np.sqrt(shape[:, 0] + shape[:, 2] + 2.0)
@@ -77,4 +84,47 @@ def links(
         there = np.isfinite(here[np.arange(n), which])
         found[there, k] = near[there, which[there]]
     missing = (found < 0).sum(1)
-    return found, np.where(2 * missing <= directions, missing, np.inf).astype(np.float32)
+    return closed(found), np.where(2 * missing <= directions, missing, np.inf).astype(np.float32)
+
+
+@compiled
+def closed(links):
+    """Links (N, D) int32 without those that close no cell of the lattice with their surroundings, on neither side.
+
+    A link that skips a dot, or jumps over a depth edge, rarely does, and one of them is enough to give all beyond it
+    wrong coordinates.
+    """
+    out = np.full_like(links, -1)
+    for i in range(len(links)):
+        for d in range(links.shape[1]):
+            j = links[i, d]
+            if j >= 0:
+                back = _direction_to(links, j, i)
+                if back >= 0 and _closes(links, i, d, j, back):
+                    out[i, d] = j
+    return out
+
+
+@compiled
+def _closes(links, i, d, j, back):
+    """Whether the link from dot i in direction d to j, whose direction `back` leads to i, is the side of a cell.
+
+    The cell's other dots are linked with either end; the cells of the hexagonal lattice are triangles.
+    """
+    directions = links.shape[1]
+    half = directions // 2
+    for turn in (1, -1):
+        k = links[i, (d + turn) % directions]
+        end = links[j, (back + half + turn * (half - 1)) % directions]
+        if k >= 0 and end >= 0 and (k == end if directions == 6 else _direction_to(links, k, end) >= 0):
+            return True
+    return False
+
+
+@compiled
+def _direction_to(links, i, j):
+    """Direction in which dot i is linked to dot j, or -1."""
+    for d in range(links.shape[1]):
+        if links[i, d] == j:
+            return d
+    return -1

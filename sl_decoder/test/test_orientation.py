@@ -47,3 +47,18 @@ def test_few_points_do_no_harm() -> None:
         found, quality = orientation.links(points, np.tile(np.float32([1, 0, 1]), (n, 1)), near, 4)
         assert (found == -1).all()
         assert np.isinf(quality).all()
+
+
+@pytest.mark.parametrize("lattice", [SQUARE, HEXAGONAL], ids=["square", "hexagonal"])
+def test_no_link_skips_a_missing_dot(lattice) -> None:
+    v, u = (a.ravel() for a in np.mgrid[:9, :11])
+    plane = np.stack([u, v], 1) if lattice is SQUARE else np.stack([u * np.sqrt(3) / 2, v + 0.5 * u], 1)
+    kept = (u != 5) | (v != 4)
+    points = (10.0 * plane + 20)[kept].astype(np.float32)
+    shape = np.tile(np.float32([1, 0, 1]), (len(points), 1))
+    found, _ = orientation.links(points, shape, nearest(points, graph.NEIGHBOURS), lattice.directions)
+    length = np.linalg.norm(points[found] - points[:, None], axis=-1)[found >= 0]
+    assert length == pytest.approx(10.0, rel=1e-5)
+    around = (np.linalg.norm(points - 10.0 * plane[~kept] - 20, axis=1) < 11).nonzero()[0]
+    assert len(around) == lattice.directions
+    assert ((found[around] >= 0).sum(1) == lattice.directions - 1).all()
