@@ -34,6 +34,8 @@ FEW_GAPS = 0.04  # share of the dots amid decoded ones that segmentation may mis
 OTHER_SCALE_GAIN = 1.05  # times as many dots that an image of another size must give: its centres are noisier
 SHARPER_GAIN = 1.12  # and that the sharpened one must give to come first: long dots fall apart in it
 BLURS = (0.3, 0.0, 0.6, None)  # metrics in which what is left is linked once more [px^2]
+MANY_RECOVERED = 0.03  # share of the decoded dots that was recovered, from which all is read once more with them
+RECOVERIES = 3  # rounds of recovery at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +102,7 @@ class Decoder:
                 best = smaller
         if best.is_small(SMALL_CORE) and (best.explained() < NEARLY_EXPLAINED or best.gaps() > FEW_GAPS):
             sharper = self._interpret_with(rescaling.doubled_and_sharpened(bgr), 2 * usual, pixel=2.0)
-            better = sharper.decoded() > SHARPER_GAIN * best.decoded()
+            better = sharper.found() > SHARPER_GAIN * best.found()
             rescaling.enlarge(sharper, 0.5)
             if better:
                 best, sharper = sharper, best
@@ -138,15 +140,31 @@ class Decoder:
                 reading.refit()
                 reading.place(evidence)
                 reading.grow(self.limit)
-                for blur in BLURS:
-                    if reading.is_complete() or (blur is None and reading.explained() > MOSTLY_EXPLAINED):
-                        break
-                    if reading.place_rest(blur):
-                        reading.grow(self.limit)
+                self._place_rest(reading)
             if smooth is not None:
-                reading.recover(smooth, self.limit)
+                self._recover(reading, smooth)
             reading.finish(self.limit)
         return reading
+
+    def _place_rest(self, reading: Interpretation) -> None:
+        """Place and grow what is left without a place, linked in several metrics."""
+        for blur in BLURS:
+            if reading.is_complete() or (blur is None and reading.explained() > MOSTLY_EXPLAINED):
+                break
+            if reading.place_rest(blur):
+                reading.grow(self.limit)
+
+    def _recover(self, reading: Interpretation, smooth: NDArray[np.uint8]) -> None:
+        """Recover dots; where that gives many, they tell the letters, and what is next to them, better than before."""
+        for _ in range(RECOVERIES):
+            before = reading.n
+            reading.recover(smooth, self.limit)
+            if reading.n - before <= MANY_RECOVERED * reading.decoded():
+                break
+            reading.include_recovered()
+            reading.refit()
+            reading.grow(self.limit)
+            self._place_rest(reading)
 
     def elements(self, row: NDArray[np.int32], col: NDArray[np.int32]) -> tuple[NDArray, NDArray]:
         """Indices (v, u) of pattern elements in arrays of the map's axial layout."""

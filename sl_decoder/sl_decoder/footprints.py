@@ -22,6 +22,7 @@ THIN_RANGE = 2.0  # over which those, and dots that are cut, are spread
 CUT_SHARE = 0.5  # of the false dots are cut by an edge, the others are whole dots of another surface
 CORE_WIDTH = 2.0  # half the width of a core in standard deviations along it: of what is cut off, half is displacement
 LOST_SHARE = 0.15  # of a dot's own width, which shading and curvature explain
+UNKNOWN_SHARE = 0.7  # of the displacement of a dot whose shape is not known, that a lost part explains
 
 
 @compiled
@@ -80,17 +81,19 @@ def extent(c0, c1, c2, x, y):
 
 
 @compiled
-def lost_beside(c0, c1, c2, n0, n1, n2, dx, dy):
+def lost_beside(c0, c1, c2, n0, n1, n2, dx, dy, shapeless):
     """How far [px] the centre of footprint c is displaced by the loss of a part of the dot, as place and shape say.
 
     A dot of which a part is missing (cut by an edge, hidden, split) is narrower along the direction in which it is
-    displaced, by twice the displacement. (dx, dy): off its prediction [px]; n: the neighbours' mean footprint.
+    displaced, by twice the displacement. (dx, dy): off its prediction [px]; n: the neighbours' mean footprint;
+    shapeless: c was not measured, and the displacement alone tells.
     """
     shift = np.sqrt(dx * dx + dy * dy)
     scale = np.float32(1) / max(shift, np.float32(1e-3))
     whole = extent(n0, n1, n2, dx * scale, dy * scale)
     here = extent(c0, c1, c2, dx * scale, dy * scale)
-    lost = min(shift, np.float32(CORE_WIDTH) * (whole - here)) - np.float32(LOST_SHARE) * whole
+    narrower = np.float32(UNKNOWN_SHARE) * shift if shapeless else np.float32(CORE_WIDTH) * (whole - here)
+    lost = min(shift, narrower) - np.float32(LOST_SHARE) * whole
     return max(lost, np.float32(0))
 
 

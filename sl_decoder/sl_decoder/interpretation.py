@@ -97,7 +97,7 @@ class Interpretation(State):
             self.letter[:n],
         )
         if self.mirrored:
-            self.evidence[:n][self.mirrored_dots] = NOT_OURS
+            self.evidence[: self.segmented][self.mirrored_dots] = NOT_OURS
 
     def correct_letters(self) -> None:
         """Replace the letters that were read by those that the paper's voting elects."""
@@ -335,6 +335,14 @@ class Interpretation(State):
             self.variance[:n],
         )
         self.weigh_letters()
+
+    def include_recovered(self) -> None:
+        """Let the recovered dots take part in growth and in the fit of the letters."""
+        more = self.n - len(self.near)
+        self.near = nearest(self.centre[: self.n], graph.NEIGHBOURS)
+        self.profile = np.append(self.profile, np.full(more, np.nan, np.float32))
+        self.field = np.append(self.field, np.zeros(more, np.float32))
+        self.variance = np.append(self.variance, np.ones(more, np.float32))
 
     def recover(self, smooth: NDArray[np.uint8], limit: float, offset: np.float32 = recovery.UNKNOWN_OFFSET) -> None:
         """Measure the dots that the lattice expects and segmentation did not give; judge.

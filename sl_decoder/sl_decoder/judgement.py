@@ -74,7 +74,7 @@ def judge(
     """
     rows, cols = claim.shape
     for _ in range(most):
-        measures = measure(claim, centre, area, covariance, log_p, map_letters, lattice_steps)
+        measures = measure(claim, segmented, centre, area, covariance, log_p, map_letters, lattice_steps)
         own = own_evidence(claim, segmented, measures, pixel)
         solve(measures.held, own, window, cols + 2)
         for v in range(rows):

@@ -308,7 +308,7 @@ def _fit(model, colour, profile, signal, field, letter, use, several_shapes):
             norm = np.sqrt(p * p + q * q + r * r)
             unit[m, 0], unit[m, 1], unit[m, 2] = p / norm, q / norm, r / norm
             member = model.group[letter[i]] == g
-            members += np.int64(member)
+            members += np.int64(member and profile[i] == profile[i])
             m += np.int64(member and norm > 1)
         if several_shapes and members >= 5:
             model.profile[g], model.profile_spread[g] = _middle_and_spread(pool[:members], 0.01, ANY_PROFILE)

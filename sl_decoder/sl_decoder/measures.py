@@ -44,8 +44,12 @@ def index_of(v, u, cols):
 
 
 @compiled
-def measure(claim, centre, area, covariance, log_p, map_letters, steps):
-    """Measures of all held elements. claim (V, U); the others as in `Interpretation`."""
+def measure(claim, segmented, centre, area, covariance, log_p, map_letters, steps):
+    """Measures of all held elements. claim (V, U); the others as in `Interpretation`.
+
+    Dots from number `segmented` on were recovered: their shape is not their own, so that nothing but their
+    displacement tells whether a part is lost.
+    """
     rows, cols = claim.shape
     room = (rows + 2) * (cols + 2)
     m = Measures(
@@ -60,6 +64,7 @@ def measure(claim, centre, area, covariance, log_p, map_letters, steps):
     place = np.zeros((2, room), np.float32)
     core = np.ones(room, np.float32)
     shape = np.zeros((3, room), np.float32)
+    shapeless = np.zeros(room, np.bool_)
     for v in range(rows):
         for u in range(cols):
             i = claim[v, u]
@@ -70,11 +75,12 @@ def measure(claim, centre, area, covariance, log_p, map_letters, steps):
             m.letter[k] = log_p[i, map_letters[v, u]]
             place[0, k], place[1, k] = centre[i, 0], centre[i, 1]
             core[k] = area[i]
+            shapeless[k] = i >= segmented
             shape[0, k], shape[1, k], shape[2, k] = covariance[i, 0], covariance[i, 1], covariance[i, 2]
     off, basis = _predictions(claim, centre, steps, m, place)
     density = np.empty(room, np.float32)
     _errors(off, basis, core, m.kind, m.error, density)
-    _compare(m, cols + 2, off, density, shape)
+    _compare(m, cols + 2, off, density, shape, shapeless)
     for v in range(rows):
         for u in range(cols):
             k = index_of(v, u, cols)
@@ -154,7 +160,7 @@ def _errors(off, basis, core, kind, error, density):
 
 
 @compiled
-def _compare(m, width, off, density, shape):
+def _compare(m, width, off, density, shape, shapeless):
     """Size, thinness and lost part of all elements beside those around them."""
     room = len(density)
     known, number, total = np.empty(room, np.float32), np.zeros(room, np.float32), np.zeros(room, np.float32)
@@ -180,5 +186,5 @@ def _compare(m, width, off, density, shape):
     for i in range(room):
         scale = np.float32(1) / max(number[i], np.float32(1))
         n0, n1, n2 = others[0, i] * scale, others[1, i] * scale, others[2, i] * scale
-        lost = lost_beside(shape[0, i], shape[1, i], shape[2, i], n0, n1, n2, off[0, i], off[1, i])
+        lost = lost_beside(shape[0, i], shape[1, i], shape[2, i], n0, n1, n2, off[0, i], off[1, i], shapeless[i])
         m.lost[i] = lost if number[i] >= 2 else np.float32(0)

@@ -92,6 +92,10 @@ class State:
         """Number of decoded dots."""
         return int(np.count_nonzero(self.claim >= 0))
 
+    def found(self) -> int:
+        """Number of decoded dots that segmentation gave."""
+        return int(np.count_nonzero(self.holder_v[: self.segmented] >= 0))
+
     def components(self) -> int:
         """Number of lattices that are large enough to be placed, at least one."""
         return max(1, int(np.count_nonzero(np.bincount(self.component[self.at >= 0]))))

@@ -24,7 +24,7 @@ def lost_at(centre: np.ndarray, covariance: np.ndarray, v: int, u: int) -> float
     around = [claim[y, x] for y in range(v - 1, min(v + 2, 6)) for x in range(u - 1, u + 2) if (y, x) != (v, u)]
     dx, dy = np.zeros(2, np.float32) if v == 5 else centre[claim[v, u]] - centre[around].mean(0)
     n0, n1, n2 = covariance[around].mean(0)
-    beside = lost_beside(*covariance[claim[v, u]], n0, n1, n2, dx, dy)
+    beside = lost_beside(*covariance[claim[v, u]], n0, n1, n2, dx, dy, False)
     return float(max(beside, lost_at_line_end(claim, centre, covariance, v, u, SQUARE.steps)))
 
 
@@ -32,6 +32,14 @@ def lattice() -> tuple[np.ndarray, np.ndarray]:
     y, x = np.mgrid[:6, :6].reshape(2, 36) * PITCH
     covariance = np.tile(np.array([RADIUS**2 / 4, 0.0, RADIUS**2 / 4], np.float32), (36, 1))
     return np.stack([x, y], 1).astype(np.float32), covariance
+
+
+def test_a_displaced_dot_has_lost_a_part_if_it_is_narrower_or_its_shape_is_not_known() -> None:
+    whole = np.float32([RADIUS**2 / 4, 0.0, RADIUS**2 / 4])
+    place = np.float32([0.3 * RADIUS, 0.4 * RADIUS])
+    assert lost_beside(*whole, *whole, *place, False) == 0.0
+    assert 0.0 < lost_beside(*whole, *whole, *place, True) < 0.5 * RADIUS
+    assert lost_beside(*whole, *whole, *(0.1 * place), True) == 0.0
 
 
 def test_half_a_dot_amid_whole_ones_and_a_rim_of_halves_have_lost_a_part() -> None:

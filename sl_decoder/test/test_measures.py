@@ -36,7 +36,7 @@ def around(claim: np.ndarray, v: int, u: int) -> np.ndarray:
 @pytest.mark.parametrize("missing", [0.0, 0.1, 0.6])
 def test_measures_of_all_at_once(lattice: Lattice, missing: float) -> None:
     claim, centre, area, covariance, log_p, letters = scene(lattice, missing)
-    found: Measures = measure(claim, centre, area, covariance, log_p, letters, lattice.steps)
+    found: Measures = measure(claim, len(centre), centre, area, covariance, log_p, letters, lattice.steps)
     assert found.held.sum() == (claim >= 0).sum()
     density = np.full(len(centre), np.nan)
     for v, u in np.argwhere(claim >= 0):
