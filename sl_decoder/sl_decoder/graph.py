@@ -21,7 +21,7 @@ import numpy as np
 
 from sl_decoder.compiled import compiled
 
-NEIGHBOURS = 16  # candidates looked at around each dot
+NEIGHBOURS = 12  # nearest dots looked at around each: the eight around it on its lattice, and the four beyond
 BLUR = 0.3  # variance that the image's filter and the optics add to a footprint's core [px^2]
 BLUR_MOST = 0.6  # but no more than this share of its narrow side
 TOLERANCE = 0.30  # a neighbour lies this close to its prediction, in units of the local lattice spacing
@@ -29,7 +29,8 @@ WIDEST = 0.814  # cosine of the angle (35 degrees) by which a basis may differ f
 LONGEST = 2.2  # times the length of its first vector that the second of a basis may have
 BEYOND = np.float32(1e9)  # where no candidate is
 NOBODY = np.int32(0x7FFFFFFF)  # a key beyond those of all candidates
-LAST = np.int32(NEIGHBOURS - 1)  # bits of a key that number the candidate
+ROOM = 16  # for the candidates of a dot: loops of a power of two are vector code throughout
+LAST = np.int32(ROOM - 1)  # bits of a key that number the candidate
 
 
 @dataclass(frozen=True)
@@ -91,10 +92,10 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):
     """
     n = len(near)
     k = min(near.shape[1], NEIGHBOURS)
-    dx = np.empty(k, np.float32)
-    dy = np.empty(k, np.float32)
-    length = np.empty(k, np.int32)
-    beside = np.empty(k, np.int32)
+    dx = np.full(ROOM, BEYOND)
+    dy = np.full(ROOM, BEYOND)
+    length = np.full(ROOM, NOBODY)
+    beside = np.full(ROOM, NOBODY)
     chosen = np.empty(6, np.int32)
     cosine_ideal = np.float32(np.cos(2.0 * np.pi / directions))
     sine_ideal = np.float32(np.sin(2.0 * np.pi / directions))
@@ -116,14 +117,16 @@ def local_bases(points, shape, near, directions, tolerance, links, quality):
         first = np.int32(-1)
         done = False
         for turn in range(4):
+            if done:
+                break
             first = _next(length, first)
             ia = first & LAST
             ax, ay = dx[ia], dy[ia]
             la2 = ax * ax + ay * ay
             shortest = min(shortest, la2)
-            if done or la2 > np.float32(4) * shortest or la2 >= BEYOND:
+            if la2 > np.float32(4) * shortest or la2 >= BEYOND:
                 break
-            for q in range(k):
+            for q in range(min(len(dx), ROOM)):
                 cross = ax * dy[q] - ay * dx[q]
                 toward = cosine_ideal * (ax * dx[q] + ay * dy[q]) + sine_ideal * cross
                 lb2 = dx[q] * dx[q] + dy[q] * dy[q]
@@ -182,10 +185,10 @@ def _key(squared, q):
 
 @compiled
 def _next(keys, before):
-    """Least of keys (NEIGHBOURS,) int32 above `before`, or NOBODY: one after the other, they come in order."""
+    """Least of keys (ROOM,) int32 above `before`, or NOBODY: one after the other, they come in order."""
     after = before + np.int32(1)
     least = np.uint32(NOBODY - after)
-    for q in range(min(len(keys), NEIGHBOURS)):
+    for q in range(min(len(keys), ROOM)):
         ahead = np.uint32(keys[q] - after)  # huge for those that have been
         least = ahead if ahead < least else least
     return np.int32(least + after)
@@ -193,9 +196,9 @@ def _next(keys, before):
 
 @compiled
 def _closest(dx, dy, x, y):
-    """Which of the vectors (dx, dy), (NEIGHBOURS,) float32 each, is closest to (x, y)."""
+    """Which of the vectors (dx, dy), (ROOM,) float32 each, is closest to (x, y)."""
     least = NOBODY
-    for q in range(min(len(dx), NEIGHBOURS)):
+    for q in range(min(len(dx), ROOM)):
         key = _key((dx[q] - x) * (dx[q] - x) + (dy[q] - y) * (dy[q] - y), q)
         least = key if key < least else least
     return least & LAST

@@ -9,8 +9,8 @@ import numpy as np
 
 from sl_decoder.compiled import compiled
 
-PER_CELL = 5.5  # points in a cell on average: three by three of them hold sixteen nearest neighbours of a lattice's dot
-MOST = 16  # neighbours that can be found
+PER_CELL = 5.5  # points in a cell on average: three by three of them hold twelve nearest neighbours of a lattice's dot
+MOST = 12  # neighbours that can be found
 LANES = 8  # points of a cell whose neighbours are found side by side
 X, Y, SELF = MOST * LANES, (MOST + 1) * LANES, (MOST + 2) * LANES  # where the lanes' points and their numbers are
 NOBODY = np.int32(0x7F7FFFFF)  # a key beyond those of all candidates
@@ -131,8 +131,14 @@ def _rank(lists, xs, ys):
             ex, ey = x - np.int32(lists[X + lane]).view(np.float32), y - np.int32(lists[Y + lane]).view(np.float32)
             distance = np.float32(ex * ex + ey * ey).view(np.int32)
             key = np.int32((distance & ~mask) | np.int32(q)) if lists[SELF + lane] != q else NOBODY
-            for p in range(MOST):
-                here = lists[p * LANES + lane]
-                lists[p * LANES + lane] = key if key < here else here
-                key = here if key < here else key
+            _insert(key, lists, lane)
     return mask
+
+
+@compiled
+def _insert(key, lists, lane):
+    """Insert a key among the sorted keys of a lane; the largest of them falls out."""
+    for p in range(lane, lane + MOST * LANES, LANES):
+        here = lists[p]
+        lists[p] = key if key < here else here
+        key = here if key < here else key

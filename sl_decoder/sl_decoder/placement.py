@@ -20,111 +20,103 @@ COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
 SWEEPS = 6
 OUTSIDE = np.float32(-0.5)  # label, from -1 to 1, of the dots beyond the region in question
 CONTOUR = (2.638, 1.848)  # growth of the number of closed paths with their length, square and honeycomb lattice
-BEYOND = -20.0  # belief of a dot that would lie outside the map
-INSIDE, OFF_MAP = 1, 2  # marks of a placement's dots
+BEYOND = np.float32(-20)  # belief of a dot that would lie outside the map
+DOUBTED = -0.5  # evidence of a dot's letter below which the region does not go on from it
+EMPTY, FREE, MEMBER = -1, 0, 1  # marks of a lattice's cells: no dot, one that is not, or is in the region in question
 
 
 @compiled
-def solve_placement(
-    placement,
-    voters,
-    cell,
-    at,
-    width,
-    u,
-    v,
-    log_p,
-    map_letters,
-    window,
-    turn,
-    coupling,
-    sweeps,
-    belief,
-    label,
-    work,
-    members,
-):
-    """Log-odds that each dot of the component belongs to a placement, by mean-field over the lattice.
+def flood(placement, voters, cell, at, steps, u, v, log_p, map_letters, turn, mark, own, members):
+    """The region of a lattice where the letters agree with a placement on balance, from the voters' windows outwards.
 
-    Starts from the windows that voted and grows outwards over the lattice; belief (N,) float32 is written for the
-    returned number of `members`. work (N,), label (N + 1,): work space, 0 and OUTSIDE (last: 0) before and after.
+    Marks its cells (M,) int32, writes the evidence of their dots' letters, own (M,), and lists them: members. Returns
+    their number.
     """
-    around = window[1:, 1] * width[voters[0]] + window[1:, 0]
-    # region: flood from the voters' windows while the letters agree on balance
     count = len(voters)
     for s in range(count):
-        work[voters[s]] = 1
-        members[s] = voters[s]
+        members[s] = at[voters[s]]
+        mark[members[s]] = MEMBER
     head = 0
     while head < count:
-        i = members[head]
+        c = members[head]
+        i = cell[c]
         head += 1
         mu, mv = on_map(placement[1:4], u[i], v[i], turn)
         if not is_inside(mu, mv, map_letters) or map_letters[mv, mu] < 0:
-            belief[i] = -20.0
+            own[c] = BEYOND
             continue
-        belief[i] = log_p[i, map_letters[mv, mu]]
-        if belief[i] < -0.5 and head > len(voters):
+        own[c] = log_p[i, map_letters[mv, mu]]
+        if own[c] < DOUBTED and head > len(voters):
             continue
-        here = at[i]
-        for step in around:
-            j = cell[here + step]
-            if j >= 0 and work[j] == 0:
-                work[j] = 1
-                members[count] = j
+        for step in steps:
+            if mark[c + step] == FREE:
+                mark[c + step] = MEMBER
+                members[count] = c + step
                 count += 1
-    own = belief[members[:count]].copy()
-    # the whole window decides which label is first: a dot alone would follow neighbours that are all in the wrong place
-    for s in range(count):
-        total = own[s]
-        for step in around[1:]:
-            j = cell[at[members[s]] + step]
-            total += belief[j] if j >= 0 and work[j] != 0 else np.float32(0)
-        label[members[s]] = tangent(np.float32(0.5) * total)
-    for _ in range(sweeps):
-        moved = np.float32(0)
-        for s in range(count):
-            i = members[s]
-            total = np.float32(0)
-            here = at[i]
-            for step in around:
-                total += label[cell[here + step]]  # -1, no dot: the last, zero
-            belief[i] = own[s] + np.float32(coupling) * total
-            t = tangent(np.float32(0.5) * belief[i])
-            moved = max(moved, abs(t - label[i]))
-            label[i] = t
-        if moved < np.float32(0.05):
-            break
-    for s in range(count):
-        work[members[s]] = 0
-        label[members[s]] = OUTSIDE
-    return count, own
+    return count
 
 
 @compiled
-def evidence_of_region(members, own, belief, least, cell, at, width, window, directions, work):
+def sum_around(values, steps, region, out):
+    """Sums (L,) of values (M,) over the cells that are so many steps from each of a region's: a slice of L cells."""
+    out[:] = 0
+    for step in steps:
+        beside = values[region.start + step : region.stop + step]
+        for k in range(len(out)):
+            out[k] += beside[k]
+
+
+@compiled
+def solve_placement(region, steps, mark, own, coupling, sweeps, label, belief):
+    """Log-odds belief (L,) that each dot of a region belongs to a placement, by mean-field over the lattice.
+
+    mark, own (L,): see `flood`; label (M,): OUTSIDE where there is a dot, else 0. All cells of the region, a slice of
+    L, are updated at once, the empty ones between them too: so the loops are vector code.
+    """
+    # the whole window decides which label is first: a dot alone would follow neighbours that are all in the wrong place
+    sum_around(own, steps, region, belief)
+    _relabel(mark[region], own[region], np.float32(1), label[region], belief)
+    for _ in range(sweeps):
+        sum_around(label, steps, region, belief)
+        if _relabel(mark[region], own[region], np.float32(coupling), label[region], belief) < np.float32(0.05):
+            break
+
+
+@compiled
+def _relabel(mark, own, coupling, label, belief):
+    """Beliefs (L,), in place of the sums of the neighbours' labels, and the members' labels (L,) that follow.
+
+    Returns by how much these have moved at most."""
+    moved = np.float32(0)
+    for k in range(len(belief)):
+        belief[k] = own[k] + coupling * belief[k]
+        t = tangent(np.float32(0.5) * belief[k])
+        t = t if mark[k] == MEMBER else label[k]
+        moved = max(moved, abs(t - label[k]))
+        label[k] = t
+    return moved
+
+
+@compiled
+def evidence_of_region(region, links, mark, own, belief, least, left_out, crossed):
     """Evidence (log-likelihood ratio) that the members above the `least` belief lie in a placement.
 
     Of the many regions of a lattice the one was chosen whose letters happen to agree. Regions whose boundary crosses n
     links number CONTOUR to the power of n, so each link to a dot of the lattice that was left out costs the logarithm,
-    and no region gains by being chosen. own (M,): evidence of the members; work (N,) int32: zero before and after.
+    and no region gains by being chosen. own (M,), belief (L,): see `solve_placement`; links: steps to the neighbours;
+    left_out (M,): one for each dot, before and after; crossed (L,): work space.
     """
-    step = (len(window) - 1) // directions
-    links = (window[:, 1] * width[members[0]] + window[:, 0])[1::step]
-    cost = np.log(CONTOUR[0] if directions == 4 else CONTOUR[1])
-    for s in range(len(members)):
-        work[members[s]] = INSIDE if belief[members[s]] > least else OFF_MAP if own[s] <= BEYOND else 0
-    total = 0.0
-    for s in range(len(members)):
-        i = members[s]
-        if work[i] == INSIDE:
-            total += own[s]
-            for link in links:
-                j = cell[at[i] + link]
-                if j >= 0 and work[j] == 0:
-                    total -= cost
-    for s in range(len(members)):
-        work[members[s]] = 0
+    mark, own, here = mark[region], own[region], left_out[region]
+    for k in range(len(belief)):
+        placed = mark[k] == MEMBER and (belief[k] > least or own[k] <= BEYOND)
+        here[k] = np.float32(0) if placed else here[k]
+    sum_around(left_out, links, region, crossed)
+    cost = np.float32(np.log(CONTOUR[0] if len(links) == 4 else CONTOUR[1]))
+    total = np.float32(0)
+    for k in range(len(belief)):
+        placed = mark[k] == MEMBER and belief[k] > least
+        total += own[k] - cost * crossed[k] if placed else np.float32(0)
+        here[k] = np.float32(mark[k] != EMPTY)
     return total
 
 
@@ -158,11 +150,13 @@ def place(
     element, or one dot, the better supported keeps it. Returns number of accepted placements and their evidence.
     """
     n = len(at)
-    belief = np.empty(n, np.float32)
-    label = np.full(n + 1, OUTSIDE, np.float32)
-    label[n] = 0
-    work = np.zeros(n, np.int32)
-    members = np.empty(n + 16, np.int32)
+    mark = np.empty(len(cell), np.int32)
+    label, own, left_out, belief, work = np.zeros((5, len(cell)), np.float32)
+    for c in range(len(cell)):
+        mark[c] = FREE if cell[c] >= 0 else EMPTY
+        label[c] = OUTSIDE if cell[c] >= 0 else np.float32(0)
+        left_out[c] = np.float32(cell[c] >= 0)
+    members = np.empty(n, np.int32)
     strength = np.full(n, -1e9, np.float32)
     n_found = len(found)
     begin = np.zeros(n_found + 1, np.int64)
@@ -189,46 +183,33 @@ def place(
                 m += 1
         if m == 0:
             continue
-        count, own = solve_placement(
-            found[p],
-            voters[:m],
-            cell,
-            at,
-            width,
-            u,
-            v,
-            log_p,
-            map_letters,
-            window,
-            turn,
-            coupling,
-            sweeps,
-            belief,
-            label,
-            work,
-            members,
-        )
-        total = evidence_of_region(members[:count], own, belief, least_belief, cell, at, width, window, len(turn), work)
-        if total < (first_evidence if accepted == 0 else next_evidence):
-            continue
-        accepted += 1
-        evidence += total
-        for s in range(count):
-            i = members[s]
-            if belief[i] <= least_belief:
-                continue
-            mu, mv = on_map(found[p, 1:4], u[i], v[i], turn)
-            mine = min(belief[i], np.float32(total))
-            if holder_v[i] >= 0:
-                continue
-            other = claim[mv, mu]
-            if other >= 0:
-                if strength[other] >= mine:
+        steps = window[1:, 1] * width[voters[0]] + window[1:, 0]
+        links = steps[:: len(steps) // len(turn)]
+        count = flood(found[p], voters[:m], cell, at, steps, u, v, log_p, map_letters, turn, mark, own, members)
+        first = members[:count].min()
+        region = slice(first, members[:count].max() + 1)
+        here = belief[: region.stop - first]
+        solve_placement(region, steps, mark, own, coupling, sweeps, label, here)
+        gain = evidence_of_region(region, links, mark, own, here, least_belief, left_out, work[: len(here)])
+        if gain >= (first_evidence if accepted == 0 else next_evidence):
+            accepted += 1
+            evidence += gain
+            for c in members[:count]:
+                i = cell[c]
+                if here[c - first] <= least_belief or holder_v[i] >= 0:
                     continue
-                holder_v[other] = -1
-                holder_u[other] = -1
-            claim[mv, mu] = i
-            holder_v[i] = mv
-            holder_u[i] = mu
-            strength[i] = mine
+                mu, mv = on_map(found[p, 1:4], u[i], v[i], turn)
+                mine = min(here[c - first], gain)
+                other = claim[mv, mu]
+                if other >= 0:
+                    if strength[other] >= mine:
+                        continue
+                    holder_v[other] = -1
+                    holder_u[other] = -1
+                claim[mv, mu] = i
+                holder_v[i] = mv
+                holder_u[i] = mu
+                strength[i] = mine
+        for c in members[:count]:
+            mark[c], label[c], own[c] = FREE, OUTSIDE, 0
     return accepted, evidence
