@@ -64,13 +64,8 @@ class Kernel:
 def fit(arguments: tuple[Any, ...], takes: list[Any]) -> bool:
     """Whether arguments have the types that a native kernel was built for: it would not notice others."""
     for argument, expected in zip(arguments, takes, strict=True):
-        if isinstance(argument, np.ndarray):
-            if (
-                type(expected) is not tuple
-                or argument.dtype != expected[0]
-                or argument.ndim != expected[1]
-                or not argument.flags.c_contiguous
-            ):
+        if type(argument) is np.ndarray:
+            if (argument.dtype, argument.ndim) != expected or not argument.flags.c_contiguous:
                 return False
         elif isinstance(argument, tuple):
             if type(expected) is not list or len(expected) != len(argument) or not fit(argument, expected):

@@ -126,7 +126,7 @@ class Decoder:
             return reading
         reading.build_graph()
         reading.read_letters(self._calibrated)
-        trials = np.log(len(self.codebook.codes) * float(reading.components()))
+        trials = np.log(len(self.codebook.codes) * max(1.0, reading.lattices))
         evidence = trials - np.log(self.options.max_false_alarms)
         placed = reading.place(evidence)
         if not placed:

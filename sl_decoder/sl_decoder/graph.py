@@ -22,6 +22,7 @@ import numpy as np
 from sl_decoder.compiled import compiled
 
 NEIGHBOURS = 12  # nearest dots looked at around each: the eight around it on its lattice, and the four beyond
+RING = 8  # nearest dots whose footprints tell the metric around a dot
 BLUR = 0.3  # variance that the image's filter and the optics add to a footprint's core [px^2]
 BLUR_MOST = 0.6  # but no more than this share of its narrow side
 TOLERANCE = 0.30  # a neighbour lies this close to its prediction, in units of the local lattice spacing
@@ -54,32 +55,27 @@ def smooth_shapes(covariance, near, blur_most):
     view. blur_most: variance to take off [px^2].
     """
     n = len(covariance)
+    one, half = np.float32(1), np.float32(0.5)
     out = np.empty((n, 3), np.float32)
-    sharp = np.empty((n, 3), np.float32)
+    sharp = np.zeros((n + 1, 3), np.float32)  # the last is what the index -1 means: no neighbour
     for i in range(n):
         a, b, c = covariance[i, 0], covariance[i, 1], covariance[i, 2]
-        difference = np.float32(0.5) * (a - c)
-        narrow = np.float32(0.5) * (a + c) - np.sqrt(difference * difference + b * b)
+        difference = half * (a - c)
+        narrow = half * (a + c) - np.sqrt(difference * difference + b * b)
         blur = min(np.float32(blur_most), np.float32(BLUR_MOST) * max(narrow, np.float32(0)))
         a -= blur
         c -= blur
-        s = 1.0 / np.sqrt(max(a * c - b * b, 1e-3))
-        sharp[i, 0] = a * s
-        sharp[i, 1] = b * s
-        sharp[i, 2] = c * s
+        s = one / np.sqrt(max(a * c - b * b, np.float32(1e-3)))
+        sharp[i, 0], sharp[i, 1], sharp[i, 2] = a * s, b * s, c * s
     for i in range(n):
-        a = b = c = 0.0
-        for m in range(-1, 8):
-            j = i if m < 0 else near[i, m]
-            if j < 0:
-                break
+        a, b, c = sharp[i, 0], sharp[i, 1], sharp[i, 2]
+        for q in range(min(near.shape[1], RING)):
+            j = near[i, q]
             a += sharp[j, 0]
             b += sharp[j, 1]
             c += sharp[j, 2]
-        s = 1.0 / np.sqrt(max(a * c - b * b, 1e-6))
-        out[i, 0] = a * s
-        out[i, 1] = b * s
-        out[i, 2] = c * s
+        s = one / np.sqrt(max(a * c - b * b, np.float32(1e-6)))
+        out[i, 0], out[i, 1], out[i, 2] = a * s, b * s, c * s
     return out
 
 

@@ -195,7 +195,7 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
     """Split each hue group into its intensities.
 
     Deviations from the local mean are ranked and cut in the map's shares, then letters, levels and field are iterated.
-    ranked (A,) letters, darkest first; writes level (A,), letter (N,), field (N,).
+    ranked (A,) letters, darkest first; writes level (A,), letter (N,); field (N,): work space.
     """
     n = len(signal)
     count = len(level)
@@ -233,7 +233,11 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
             low = high
     sums = np.empty(count)
     members = np.empty(count, np.int64)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
+        if turn > 0:
+            for i in range(n):
+                relative[i] = signal[i] - level[letter[i]]
+            _neighbour_mean(relative, near, use, number, field)
         for i in range(n):
             relative[i] = signal[i] - field[i]
         _nearest_level(relative, group, letter_group, level, letter)
@@ -245,6 +249,3 @@ def first_levels(signal, group, near, use, letter_group, ranked, share, groups, 
         for a in range(count):
             if members[a] >= 3:
                 level[a] = sums[a] / members[a]
-        for i in range(n):
-            relative[i] = signal[i] - level[letter[i]]
-        _neighbour_mean(relative, near, use, number, field)

@@ -20,7 +20,7 @@ from sl_decoder import (
 from sl_decoder.agreement import agreed_field
 from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
-from sl_decoder.letter_model import fit_model, letter_evidence, log_signal, placement_evidence
+from sl_decoder.letter_model import any_letter, fit_model, letter_evidence, log_signal
 from sl_decoder.matched import CIRCLE
 from sl_decoder.nearest import nearest
 from sl_decoder.state import State
@@ -70,7 +70,7 @@ class Interpretation(State):
         count, self.conflicts = graph.components(
             links, quality, self.book.lattice.steps, self.component, frame, self.u, self.v
         )
-        self.cell, self.at, self.width = windows.lay_out(
+        self.cell, self.at, self.width, self.lattices = windows.lay_out(
             self.component, self.u, self.v, self.conflicts, count, SMALLEST_COMPONENT
         )
 
@@ -157,7 +157,7 @@ class Interpretation(State):
             lattice.turn,
         )
         found, of = windows.rank_placements(votes, self.component, 1)
-        self.accepted, _ = placement.place(
+        self.accepted = placement.place(
             found,
             of,
             votes,
@@ -166,7 +166,8 @@ class Interpretation(State):
             self.width,
             self.u,
             self.v,
-            placement_evidence(self.evidence[: self.n], self.alphabet.share),
+            self.evidence[: self.n],
+            any_letter(self.evidence[: self.n], self.alphabet.share),
             book.letters,
             lattice.window,
             lattice.turn,

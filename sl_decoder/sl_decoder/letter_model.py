@@ -146,33 +146,22 @@ def _weigh_level(measure, hue, this, level, level_variance, stray, share, out, t
 def any_letter(evidence, share):
     """Evidence (N,) for a dot of any of the map's letters, at least 0: what is no dot speaks against every place.
 
-    evidence (N, A): see `letter_evidence`; share (A,) of the map's dots.
+    evidence (N, A): see `letter_evidence`; share (A,) of the map's dots. That a dot looks like one speaks for no place:
+    less this, the evidence for each letter averages one (as a ratio of likelihoods) over the map, whatever the letters
+    were taken for.
     """
     n, count = evidence.shape
     most = np.float32(MOST_EVIDENCE)
+    ratio = np.empty(n * count, np.float32)
+    flat = evidence.ravel()
+    for k in range(len(ratio)):
+        ratio[k] = exponential(flat[k] - most)
     out = np.zeros(n, np.float32)
-    for k in range(count):
-        weight = np.float32(share[k])
-        for i in range(n):
-            out[i] += weight * exponential(evidence[i, k] - most)
-    for i in range(n):
-        out[i] = max(most + logarithm(out[i]), np.float32(0))
-    return out
-
-
-@compiled
-def placement_evidence(evidence, share):
-    """Evidence (N, A) for each letter against any other place in the map: less that of a dot of any of its letters.
-
-    That a dot looks like one speaks for no place, so what is left averages one (as a ratio of likelihoods) over the
-    map, whatever the letters were taken for.
-    """
-    n, count = evidence.shape
-    anywhere = any_letter(evidence, share)
-    out = np.empty((n, count), np.float32)
     for i in range(n):
         for k in range(count):
-            out[i, k] = evidence[i, k] - anywhere[i]
+            out[i] += np.float32(share[k]) * ratio[i * count + k]
+    for i in range(n):
+        out[i] = max(most + logarithm(out[i]), np.float32(0))
     return out
 
 
@@ -265,54 +254,62 @@ def _middle_and_spread(pool, least, most):
 
 @compiled
 def _fit_direction(unit, direction, pool):
-    """Robust mean of unit colours (N, 3), in place of direction (3,); returns the spread of the angle.
+    """Robust mean of unit colours (3, N), in place of direction (3,); returns the spread of the angle.
 
-    Two rounds, the second without outliers; fewer than five dots leave the direction as it is.
+    Two rounds, the second without outliers; fewer than five dots leave the direction as it is. pool (N,): work space.
     """
-    n = len(unit)
+    one, two = np.float32(1), np.float32(2)
     spread = np.float32(0.15)
     for turn in range(2):
         t0 = t1 = t2 = np.float32(0)
+        d0, d1, d2 = direction[0], direction[1], direction[2]
         limit = np.float32(9) * spread * spread if turn == 1 else np.float32(8)
-        for i in range(n):
-            p, q, r = unit[i, 0], unit[i, 1], unit[i, 2]
-            d = p * direction[0] + q * direction[1] + r * direction[2]
-            w = np.float32(1) if np.float32(2) * (np.float32(1) - d) <= limit else np.float32(0)
+        for i in range(len(pool)):
+            p, q, r = unit[0, i], unit[1, i], unit[2, i]
+            w = one if two * (one - (p * d0 + q * d1 + r * d2)) <= limit else np.float32(0)
             t0 += w * p
             t1 += w * q
             t2 += w * r
         norm = np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
         if norm < 5:
             break
-        direction[0], direction[1], direction[2] = t0 / norm, t1 / norm, t2 / norm
-        for i in range(n):
-            d = unit[i, 0] * direction[0] + unit[i, 1] * direction[1] + unit[i, 2] * direction[2]
-            pool[i] = np.float32(2) * max(np.float32(1) - d, np.float32(0))
-        spread = np.sqrt(quantile(pool[:n], 0.5) / np.float32(1.39))
+        d0, d1, d2 = t0 / norm, t1 / norm, t2 / norm
+        direction[0], direction[1], direction[2] = d0, d1, d2
+        for i in range(len(pool)):
+            pool[i] = two * max(one - (unit[0, i] * d0 + unit[1, i] * d1 + unit[2, i] * d2), np.float32(0))
+        spread = np.sqrt(quantile(pool, 0.5) / np.float32(1.39))
         spread = min(max(spread, np.float32(0.02)), np.float32(0.5))
     return spread
 
 
 @compiled
 def _fit(model, colour, profile, signal, field, letter, use, several_shapes):
-    """Fit the arrays of a model in place, to a sample; returns the share of dots off the field."""
+    """Fit the arrays of a model in place, to a sample; returns the share of dots off the field.
+
+    Directions and levels of which there are next to no dots stay as they are."""
+    model.profile[:], model.profile_spread[:] = 0, ANY_PROFILE
+    model.level_spread[:] = np.float32(0.2)
     chosen = sample(use, len(model.level))
     pool = np.empty(len(chosen), np.float32)
-    unit = np.empty((len(chosen), 3), np.float32)
+    length = np.empty(len(chosen), np.float32)
+    unit = np.empty((3, len(chosen)), np.float32)
+    for s in range(len(chosen)):
+        i = chosen[s]
+        length[s] = np.sqrt(colour[i, 0] * colour[i, 0] + colour[i, 1] * colour[i, 1] + colour[i, 2] * colour[i, 2])
     for g in range(len(model.direction)):
         m = 0
         members = 0
-        for i in chosen:
-            pool[members] = profile[i]
-            p, q, r = colour[i, 0], colour[i, 1], colour[i, 2]
-            norm = np.sqrt(p * p + q * q + r * r)
-            unit[m, 0], unit[m, 1], unit[m, 2] = p / norm, q / norm, r / norm
+        for s in range(len(chosen)):
+            i = chosen[s]
             member = model.group[letter[i]] == g
+            pool[members] = profile[i]
             members += np.int64(member and profile[i] == profile[i])
-            m += np.int64(member and norm > 1)
+            for c in range(3):
+                unit[c, m] = colour[i, c] / length[s]
+            m += np.int64(member and length[s] > 1)
         if several_shapes and members >= 5:
             model.profile[g], model.profile_spread[g] = _middle_and_spread(pool[:members], 0.01, ANY_PROFILE)
-        model.spread[g] = _fit_direction(unit[:m], model.direction[g], pool)
+        model.spread[g] = _fit_direction(unit, model.direction[g], pool[:m])
     for a in range(len(model.level)):
         m = 0
         for i in chosen:
@@ -345,11 +342,11 @@ def fit_model(
     model = LetterModel(
         group=alphabet.group,
         direction=direction.copy(),
-        spread=np.full(groups, 0.15, np.float32),
-        profile=np.zeros(groups, np.float32),
-        profile_spread=np.full(groups, ANY_PROFILE, np.float32),
+        spread=np.empty(groups, np.float32),
+        profile=np.empty(groups, np.float32),
+        profile_spread=np.empty(groups, np.float32),
         level=level.copy(),
-        level_spread=np.full(len(level), 0.2, np.float32),
+        level_spread=np.empty(len(level), np.float32),
         stray=np.float32(FIRST_STRAY),
     )
     several = len(alphabet.profiles) > 1

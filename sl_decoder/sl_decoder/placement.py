@@ -26,11 +26,11 @@ EMPTY, FREE, MEMBER = -1, 0, 1  # marks of a lattice's cells: no dot, one that i
 
 
 @compiled
-def flood(placement, voters, cell, at, steps, u, v, log_p, map_letters, turn, mark, own, members):
+def flood(placement, voters, cell, at, steps, u, v, evidence, anywhere, map_letters, turn, mark, own, members):
     """The region of a lattice where the letters agree with a placement on balance, from the voters' windows outwards.
 
-    Marks its cells (M,) int32, writes the evidence of their dots' letters, own (M,), and lists them: members. Returns
-    their number.
+    Marks its cells (M,) int32, writes how much more evidence there is for their dots' letters than for any, own (M,),
+    and lists them: members. Returns their number.
     """
     count = len(voters)
     for s in range(count):
@@ -45,7 +45,7 @@ def flood(placement, voters, cell, at, steps, u, v, log_p, map_letters, turn, ma
         if not is_inside(mu, mv, map_letters) or map_letters[mv, mu] < 0:
             own[c] = BEYOND
             continue
-        own[c] = log_p[i, map_letters[mv, mu]]
+        own[c] = evidence[i, map_letters[mv, mu]] - anywhere[i]
         if own[c] < DOUBTED and head > len(voters):
             continue
         for step in steps:
@@ -130,7 +130,8 @@ def place(
     width,
     u,
     v,
-    log_p,
+    evidence,
+    anywhere,
     map_letters,
     window,
     turn,
@@ -147,7 +148,8 @@ def place(
 
     The first placement of an image needs `first_evidence` (log-likelihood ratio over all windows, orientations and
     trials), the others `next_evidence`, since the pattern is then known to be there. Where two placements claim one
-    element, or one dot, the better supported keeps it. Returns number of accepted placements and their evidence.
+    element, or one dot, the better supported keeps it. evidence (N, A), anywhere (N,): of the letters and of any of
+    them, see `letter_model`. Returns the number of accepted placements.
     """
     n = len(at)
     mark = np.empty(len(cell), np.int32)
@@ -172,7 +174,6 @@ def place(
             sorted_votes[fill[of[i]]] = votes[i, 0]
             fill[of[i]] += 1
     accepted = 0
-    evidence = 0.0
     voters = np.empty(n, np.int32)
     for p in range(n_found):
         m = 0
@@ -185,7 +186,9 @@ def place(
             continue
         steps = window[1:, 1] * width[voters[0]] + window[1:, 0]
         links = steps[:: len(steps) // len(turn)]
-        count = flood(found[p], voters[:m], cell, at, steps, u, v, log_p, map_letters, turn, mark, own, members)
+        count = flood(
+            found[p], voters[:m], cell, at, steps, u, v, evidence, anywhere, map_letters, turn, mark, own, members
+        )
         first = members[:count].min()
         region = slice(first, members[:count].max() + 1)
         here = belief[: region.stop - first]
@@ -193,7 +196,6 @@ def place(
         gain = evidence_of_region(region, links, mark, own, here, least_belief, left_out, work[: len(here)])
         if gain >= (first_evidence if accepted == 0 else next_evidence):
             accepted += 1
-            evidence += gain
             for c in members[:count]:
                 i = cell[c]
                 if here[c - first] <= least_belief or holder_v[i] >= 0:
@@ -212,4 +214,4 @@ def place(
                 strength[i] = mine
         for c in members[:count]:
             mark[c], label[c], own[c] = FREE, OUTSIDE, 0
-    return accepted, evidence
+    return accepted

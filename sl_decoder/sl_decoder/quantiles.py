@@ -9,6 +9,7 @@ import numpy as np
 
 from sl_decoder.compiled import compiled
 
+FINEST_BIT = 11  # of a number, to which a quantile is told
 PER_LETTER = 170  # dots of a sample, for each letter of the alphabet
 
 
@@ -30,7 +31,7 @@ def sample(use, letters):
 
 @compiled
 def quantile(values, share):
-    """Quantile of values (N,) float32; 0 for none.
+    """Quantile of values (N,) float32, good to 1 in 4000; 0 for none.
 
     Bisects over the bits of the numbers: counting those below has no branch that depends on them, and is vector code.
     """
@@ -43,7 +44,7 @@ def quantile(values, share):
     for i in range(n):
         key[i] = bits[i] ^ ((bits[i] >> np.int32(31)) & np.int32(0x7FFFFFFF))  # ordered as the values are
     found = np.int64(-(1 << 31))
-    for bit in range(31, -1, -1):
+    for bit in range(31, FINEST_BIT - 1, -1):
         limit = np.int32(found + (1 << bit))
         below = np.int32(0)
         for i in range(n):

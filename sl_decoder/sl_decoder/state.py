@@ -14,7 +14,6 @@ from sl_decoder import graph
 from sl_decoder.alphabet import Alphabet
 from sl_decoder.centres import Dots
 from sl_decoder.codebook import Codebook
-from sl_decoder.growth import UNPREDICTED
 from sl_decoder.letter_model import LetterModel
 
 COMPLETE = 0.98  # share of the lattices' dots from which an image counts as completely decoded
@@ -47,15 +46,16 @@ class State:
         self.holder_u, self.holder_v, self.banned_u, self.banned_v = self.places
         shape = book.letters.shape
         self.claim = np.full(shape, -1, np.int32)
-        self.belief = np.full(shape, -20.0, np.float32)
-        self.kind = np.full(shape, UNPREDICTED, np.int8)
+        self.belief = np.empty(shape, np.float32)  # these two: of what is judged
+        self.kind = np.empty(shape, np.int8)
         self.model: LetterModel | None = None
         self.accepted = 0
         self.tracked = False
         self.mirrored = False
         self.mirrored_dots = np.zeros(n, np.bool_)
-        self.at = np.full(n, -1, np.int32)
-        self.component: NDArray[np.int32]  # these three: of the graph
+        self.lattices: int  # large enough to be placed; these five: of the graph
+        self.at: NDArray[np.int32]
+        self.component: NDArray[np.int32]
         self.links: NDArray[np.int32]
         self.conflicts: NDArray[np.bool_]
         self.near = np.empty((0, graph.NEIGHBOURS), np.int32)  # none without a graph, as in tracking
@@ -95,10 +95,6 @@ class State:
     def found(self) -> int:
         """Number of decoded dots that segmentation gave."""
         return int(np.count_nonzero(self.holder_v[: self.segmented] >= 0))
-
-    def components(self) -> int:
-        """Number of lattices that are large enough to be placed, at least one."""
-        return max(1, int(np.count_nonzero(np.bincount(self.component[self.at >= 0]))))
 
     def is_complete(self) -> bool:
         """Whether (nearly) all dots on lattices are decoded, so that a second reading has nothing to gain."""

@@ -20,7 +20,8 @@ def lay_out(component, u, v, conflicts, count, smallest):
     """Lay the components with at least `smallest` dots out on their lattices.
 
     Returns cell (M,) int32 dot index or -1, all components in one flat array; at (N,) int32 the cell of each dot or -1;
-    width (N,) int32 row length of the component's block. Dots that share a cell are in conflict and left out.
+    width (N,) int32 row length of the component's block; and how many components. Dots that share a cell are in
+    conflict and left out.
     """
     n = len(component)
     size = np.zeros(count, np.int64)
@@ -38,7 +39,7 @@ def lay_out(component, u, v, conflicts, count, smallest):
         v0[c] = min(v0[c], v[i])
         v1[c] = max(v1[c], v[i])
     base = np.full(count, -1)
-    total = 0
+    total = laid_out = 0
     for c in range(count):
         if size[c] < smallest:
             continue
@@ -47,6 +48,7 @@ def lay_out(component, u, v, conflicts, count, smallest):
             continue
         base[c] = total
         total += room
+        laid_out += 1
     cell = np.full(total + 1, -1, np.int32)
     at = np.full(n, -1, np.int32)
     width = np.zeros(n, np.int32)
@@ -68,7 +70,7 @@ def lay_out(component, u, v, conflicts, count, smallest):
             if cell[at[i]] == i:
                 cell[at[i]] = -1
             at[i] = -1
-    return cell, at, width
+    return cell, at, width, laid_out
 
 
 @compiled
@@ -129,10 +131,10 @@ def rank_placements(votes, component, smallest):
     and for each vote the index of its placement or -1."""
     m = len(votes)
     size = 64
-    while size < 4 * m:
+    while size < 2 * m:
         size *= 2
     table = np.full(size, -1, np.int64)
-    slot = np.zeros(size, np.int32)
+    slot = np.empty(size, np.int32)
     found = np.empty((m, 5), np.int32)
     of = np.empty(m, np.int32)
     n = 0

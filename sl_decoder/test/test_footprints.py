@@ -84,7 +84,7 @@ def test_dots_cut_by_an_edge_are_not_given_displaced(scale: float, angle: float)
 def test_neighbours_agree_on_the_intensities_of_every_patch() -> None:
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:24, :24].reshape(2, -1).astype(np.float32)
-    near = nearest(np.stack([x, y], 1) * 10 + rng.uniform(-1, 1, (len(x), 2)).astype(np.float32), 16)
+    near = nearest(np.stack([x, y], 1) * 10 + rng.uniform(-1, 1, (len(x), 2)).astype(np.float32), 12)
     group = np.array([0, 1, 2, 0, 1, 2], np.int32)
     level = np.array([0.0, 0.1, -0.1, -0.8, -0.7, -0.95], np.float32)
     true = rng.integers(0, 6, len(x))

@@ -13,7 +13,7 @@ BOOK = build_codebook(default_pattern())
 def laid_out(rows: int, cols: int):
     v, u = (a.ravel().astype(np.int32) for a in np.mgrid[:rows, :cols])
     conflicts = np.zeros(len(u), np.bool_)
-    return windows.lay_out(np.zeros(len(u), np.int32), u, v, conflicts, 1, 4)
+    return windows.lay_out(np.zeros(len(u), np.int32), u, v, conflicts, 1, 4)[:3]
 
 
 def votes(letter: np.ndarray, rows: int, cols: int) -> np.ndarray:
