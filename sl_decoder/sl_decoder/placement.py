@@ -17,7 +17,7 @@ from sl_decoder.compiled import compiled
 from sl_decoder.windows import is_inside, on_map
 
 COUPLING = 0.8  # log-odds that a dot shares its neighbour's label
-SWEEPS = 6
+SWEEPS = 12  # most: all dots are updated at once, so that a label spreads by one of them a sweep
 OUTSIDE = np.float32(-0.5)  # label, from -1 to 1, of the dots beyond the region in question
 CONTOUR = (2.638, 1.848)  # growth of the number of closed paths with their length, square and honeycomb lattice
 BEYOND = np.float32(-20)  # belief of a dot that would lie outside the map
