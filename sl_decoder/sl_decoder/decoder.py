@@ -19,6 +19,7 @@ from sl_decoder.decoded import Decoded, Inspection, Reason, nothing
 from sl_decoder.interpretation import Interpretation
 from sl_decoder.lattice import to_axial
 from sl_decoder.listing import correspondences
+from sl_decoder.memory import keep_freed_memory
 from sl_decoder.reasons import explain
 
 SMALLEST_IMAGE = 16  # side [px]
@@ -62,6 +63,7 @@ class Decoder:
     def __init__(
         self, pattern: Pattern, *, options: DecoderOptions | None = None, colours: Colours | None = None
     ) -> None:
+        keep_freed_memory()
         self.pattern = pattern
         self.options = options or DecoderOptions()
         self.codebook = build_codebook(pattern)

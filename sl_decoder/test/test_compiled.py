@@ -1,13 +1,15 @@
 """Kernels: native where the types fit, numba elsewhere; no compiler in a process that decodes; memory that stays."""
 
+import platform
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
+from pattern_gen import default_pattern
 from sl_decoder import compiled, native
-from sl_decoder.benchmark import memory_growth
+from sl_decoder.benchmark import camera_image, memory_growth
 
 
 def total(values, scale):
@@ -52,6 +54,32 @@ def test_a_process_that_decodes_needs_no_compiler() -> None:
     code = "import sys; from sl_decoder.warmup import warm_up; print(warm_up() > 2000, 'numba' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.split() == ["True", "False"]
+
+
+DECODE = """
+import resource, sys
+import numpy as np
+from pattern_gen import default_pattern
+from sl_decoder import Decoder
+
+decoder, image = Decoder(default_pattern()), np.load(sys.argv[1])
+for _ in range(8):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    found = len(decoder.decode(image))
+    print(found, resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1280, 960)])
+def test_an_image_finds_the_memory_of_the_image_before(size, tmp_path) -> None:
+    if not native.available() or platform.libc_ver()[0] != "glibc":
+        pytest.skip("no native library for these sources (make build), or another C library")
+    np.save(tmp_path / "image.npy", camera_image(default_pattern(), *size))
+    command = [sys.executable, "-c", DECODE, str(tmp_path / "image.npy")]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    found, pages = np.array(answer.stdout.split(), int).reshape(-1, 2).T
+    assert (found > 2000).all()
+    assert np.median(pages[1:]) < 50  # 709 and 2429 where the system gets it back after each image
 
 
 def test_memory_does_not_grow_with_the_images() -> None:
