@@ -18,10 +18,10 @@ from sl_decoder import (
     windows,
 )
 from sl_decoder.agreement import agreed_field
+from sl_decoder.backgrounds import CIRCLE
 from sl_decoder.intensity_field import local_field
 from sl_decoder.lattice import mirrored
 from sl_decoder.letter_model import any_letter, fit_model, letter_evidence, log_signal
-from sl_decoder.matched import CIRCLE
 from sl_decoder.nearest import nearest
 from sl_decoder.state import State
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sl_decoder.backgrounds import SAMPLES
 from sl_decoder.compiled import compiled
 from sl_decoder.planes import SATURATED
 
@@ -23,15 +24,11 @@ SLOPE = 0.3  # of the centroid against the middle of the weight, at least; that 
 MERGED_SLOPE = 0.67  # for dots that were searched: with long steps, what merged with a neighbour would slide into it
 MARGIN = 0.8  # px from the middle of a window, beyond which the next step is made in another one
 
-SAMPLES = 16
 LARGEST = 128  # side of a window [px]
 _HEAD = 4 * SAMPLES  # in the memory to work with: behind the samples, columns and rows of the window that follows
 _WINDOW = _HEAD + 16
 FOUND = 10
 """Numbers that `measure_at` finds."""
-
-_ANGLE = np.arange(SAMPLES) * (2 * np.pi / SAMPLES)
-CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)], 1).astype(np.float32)
 
 
 @compiled

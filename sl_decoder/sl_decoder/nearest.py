@@ -45,8 +45,11 @@ def _buckets(points, x0, y0, scale, nx, ny):
 def nearest(points, k):
     """Indices (N, k) int32 of the k <= MOST nearest other points of points (N, 2) float32, by distance.
 
-    -1 where there are fewer. Of points whose distances differ by less than 1 in 10,000 any may come first.
+    -1 where there are fewer. Of points whose distances differ by less than 1 in 10,000 any may come first. Raises
+    ValueError for a larger k.
     """
+    if k > MOST:
+        raise ValueError("more neighbours are asked for than the lists of a cell hold: at most MOST")
     n = len(points)
     out = np.full((n, k), -1, np.int32)
     if n < 2:

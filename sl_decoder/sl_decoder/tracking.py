@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sl_decoder.backgrounds import CIRCLE
 from sl_decoder.centres import Dots
 from sl_decoder.decoded import Decoded
 from sl_decoder.decoder import Decoder, check_image
 from sl_decoder.following import follow, remember, weigh_on_map
 from sl_decoder.interpretation import Interpretation
 from sl_decoder.letter_model import LetterModel
-from sl_decoder.matched import CIRCLE
 from sl_decoder.planes import smoothed
 from sl_decoder.recovery import matched_offset
 

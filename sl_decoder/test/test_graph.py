@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sl_decoder import graph
 from sl_decoder.lattice import HEXAGONAL, SQUARE
-from sl_decoder.nearest import nearest
+from sl_decoder.nearest import MOST, nearest
 
 
 @settings(deadline=None, max_examples=30)
@@ -77,3 +77,8 @@ def test_few_points_do_no_harm() -> None:
     for n in range(4):
         points = np.random.default_rng(n).uniform(0, 50, (n, 2)).astype(np.float32)
         assert nearest(points, 8).shape == (n, 8)
+
+
+def test_more_neighbours_than_are_kept_are_refused() -> None:
+    with pytest.raises(ValueError, match="neighbours"):
+        nearest(np.zeros((20, 2), np.float32), MOST + 1)
